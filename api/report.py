@@ -15,7 +15,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
-from adr_service.benchmark.figures import FIGURES
+from adr_service.benchmark.figures import CAPTIONS
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.client import AdrClient, Json, check_benchmark
 from adr_service.errors import InvalidInput
@@ -73,7 +73,7 @@ def _write_files(
         found=found,
         claims=claims,
         figures=figures,
-        captions={name: kind.caption for name, kind in FIGURES.items()},
+        captions=CAPTIONS,
         matrices=improvement_matrices(found["comparisons"]),
         cost=client.cost(benchmark_id),
         archives=list(archives),

@@ -181,3 +181,5 @@ FIGURES: Mapping[str, Kind] = {
         "no method has inferred anything",
     ),
 }
+
+CAPTIONS: Mapping[str, str] = {name: kind.caption for name, kind in FIGURES.items()}

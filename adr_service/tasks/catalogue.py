@@ -54,6 +54,11 @@ def catalogue() -> Mapping[str, Entry]:
     return entries
 
 
+def variants() -> list[str]:
+    """The names of all tasks' variants, each once."""
+    return list(dict.fromkeys(name for entry in catalogue().values() for name in entry.variants))
+
+
 def _loaded(point: EntryPoint) -> Entry:
     entry = load(point)
     if not isinstance(entry, Entry):

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 from adr_service.errors import InvalidInput
 from adr_service.json_values import explain
 from adr_service.specs import CriticismSpec
-from adr_service.tasks.catalogue import catalogue
+from adr_service.tasks.catalogue import catalogue, variants
 from adr_service.transitions import dataset_id
 from api.claims import claim_reports
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
@@ -109,7 +109,6 @@ def _criticisms(
     runs = run_store.list_runs(
         service.database, method="criticism", limit=_MOST_CRITICISMS, newest_first=True
     )
-    variants = {name: None for entry in catalogue().values() for name in entry.variants}
     return show(
         request,
         "criticisms.html",
@@ -121,7 +120,7 @@ def _criticisms(
         errors=errors,
         given={"task": task, "variant": variant},
         tasks=list(catalogue()),
-        variants=list(variants),
+        variants=variants(),
         items=routes.criticism_views(service, runs),
         more=len(runs) == _MOST_CRITICISMS,
         origins=dataset_store.origins_of(

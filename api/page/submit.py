@@ -15,7 +15,7 @@ from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkSpec
 from adr_service.specs.names import Collector
-from adr_service.tasks.catalogue import catalogue
+from adr_service.tasks.catalogue import catalogue, variants
 from api.durations import in_words
 from api.page.names import numbers_in
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
@@ -90,14 +90,13 @@ def _form(
     without: Sequence[str] = (),
 ) -> Response:
     """The form; `without` are parts of a spec that it cannot have."""
-    variants = {name: None for entry in catalogue().values() for name in entry.variants}
     return show(
         request,
         "submit.html",
         status_code=UNPROCESSABLE if errors else 200,
         given=given,
         tasks=list(catalogue()),
-        variants=list(variants),
+        variants=variants(),
         methods=[name for name, each in methods().items() if not each.is_reference],
         collectors=get_args(Collector),
         presets=list(PRESETS),
