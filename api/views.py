@@ -79,11 +79,12 @@ def _run_links(record: RunRecord) -> dict[str, str]:
     return {**links, **{name: f"{here}/{name}" for name in own}}
 
 
-def benchmark_view(service: Service, record: BenchmarkRecord) -> BenchmarkView:
+def benchmark_view(
+    service: Service, record: BenchmarkRecord, runs: Sequence[RunRecord]
+) -> BenchmarkView:
     """Return a benchmark with all its runs."""
     (summary,) = benchmark_summaries(service, [record])
-    runs = [run_view(service, run) for run in benchmark_store.runs_of(service.database, record.id)]
-    return BenchmarkView(**dict(summary), runs=runs)
+    return BenchmarkView(**dict(summary), runs=[run_view(service, run) for run in runs])
 
 
 def benchmark_summaries(

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from adr_service.benchmark.budgets import changes
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, final_outcomes, not_compared, table
-from adr_service.benchmark.figures import FIGURES, drawable
+from adr_service.benchmark.figures import CAPTIONS, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
 from adr_service.json_values import explain
@@ -28,6 +28,7 @@ from api.service import Service, ServiceDependency
 from api.views import BenchmarkView, benchmark_view
 from db import benchmarks as benchmark_store
 from db import runs as run_store
+from db.errors import NotFound
 from db.runs import RunRecord
 
 router = APIRouter(include_in_schema=False)
@@ -37,8 +38,9 @@ Json = dict[str, Any]
 
 @router.get("/benchmarks/{benchmark_id}")
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
-    shown = benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
     records = benchmark_store.runs_of(service.database, benchmark_id)
+    record = benchmark_store.get_benchmark(service.database, benchmark_id)
+    shown = benchmark_view(service, record, records)
     outcomes = outcomes_of(service, records)
     working = [stage for run in shown.runs for stage in run.progress]
     working = list({stage.digest: stage for stage in working}.values())  # runs share stages
@@ -52,7 +54,7 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         ray=service.dashboard_url,
         offline=names_of("recordings"),
         figures=drawable(outcomes),
-        captions={name: kind.caption for name, kind in FIGURES.items()},
+        captions=CAPTIONS,
         cautions=cautions_of(service, records, outcomes),
         iterations=len(outcomes),
         is_guarded=bool(service.settings.token.get_secret_value()),
@@ -158,7 +160,8 @@ def compare(
     id: Annotated[list[str] | None, Query()] = None,
 ) -> Response:
     """Benchmarks and runs side by side; an address may have several ids in one parameter."""
-    ids = list(dict.fromkeys(name for given in id or [] for name in given.split()))
+    given = " ".join(id or []).replace(",", " ").split()
+    ids = list(dict.fromkeys(given))
     if len(ids) > _MOST_COMPARED:
         raise InvalidInput(f"{len(ids)} ids are too many to compare; accepted are {_MOST_COMPARED}")
     rows: list[tuple[str, str, Json]] = []
@@ -166,7 +169,11 @@ def compare(
     left: list[str] = []
     cautions: list[str] = []
     for each in ids:
-        records = _runs_of(service, each)
+        try:
+            records = _runs_of(service, each)
+        except NotFound as error:
+            cautions.append(str(error))
+            continue
         outcomes = outcomes_of(service, records)
         final = final_rows(_rows(outcomes), outcomes)
         without += [] if final else [each]

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
+from fastapi.responses import RedirectResponse
 
 from adr_service.errors import InvalidInput
 from adr_service.methods.catalogue import methods
 from api.page.names import titles
-from api.page.rendering import show
+from api.page.rendering import SEE_OTHER, show
 from api.results import results_json
 from api.service import Service, ServiceDependency
 from api.views import BenchmarkSummary, benchmark_summaries
@@ -26,6 +27,13 @@ _MOST_ACTIVITIES = 20
 _MOST_VISITS = 1000  # that are counted
 _PATIENCE_S = 2.0  # for comparisons of benchmarks, which take seconds each once
 log = logging.getLogger(__name__)
+
+
+@router.get("/benchmarks")
+@router.get("/runs")
+def lists() -> Response:
+    """The lists of both are on the first page."""
+    return RedirectResponse("/", SEE_OTHER)
 
 
 @router.get("/")

@@ -11,8 +11,9 @@ from pydantic import BaseModel, ValidationError
 
 from adr_service.benchmark.comparison import estimates, lost, table
 from adr_service.benchmark.cost import Execution
-from adr_service.benchmark.figures import FIGURES, drawable
+from adr_service.benchmark.figures import CAPTIONS, drawable
 from adr_service.criticism.verdict import interval_text, quantity_text
+from adr_service.effects.catalogue import MECHANISMS
 from adr_service.errors import InvalidInput, remedy_of
 from adr_service.events import (
     CriticismFinished,
@@ -107,13 +108,14 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         quantity_text=quantity_text,
         methods=[name for name, each in methods().items() if not each.is_reference],
         presets=list(PRESETS),
+        untrained=untrained(criticism.verdict) if criticism and criticism.verdict else [],
         files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},
         rows=table(outcomes),
         iterations=len(outcomes),
         has_policy=has_policy,
         hidden_links={"cost"} if has_policy else {"cost", "policy", "distribution"},
         figures=drawable(outcomes),
-        captions={name: kind.caption for name, kind in FIGURES.items()},
+        captions=CAPTIONS,
         estimates=estimates(outcomes),
         lost=lost(outcomes),
         inferences=[each.iteration for each in outcomes if each.iteration.diagnostics],
@@ -143,6 +145,13 @@ def chosen_of(diagnostics: Mapping[str, Any]) -> str:
             end = ", the last of those tried" if best == list(values)[-1] else ""
             return f"{setting} {best}{end}"
     return ""
+
+
+def untrained(verdict: Mapping[str, Any]) -> list[str]:
+    """The kinds of a verdict's causes that act on commands or in sensors."""
+    mechanisms = {cause["kind"]: MECHANISMS.get(cause["kind"]) for cause in verdict["causes"]}
+    # an old verdict may have kinds that are not known any more
+    return [kind for kind, each in mechanisms.items() if each and (each.command or each.sensing)]
 
 
 def words_of(event: RunEvent) -> str:

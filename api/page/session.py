@@ -40,6 +40,12 @@ def login(
     return response
 
 
+@router.get("/login")
+def asked_for_login() -> Response:
+    """The form is shown at this address after a wrong token; it has no page of its own."""
+    return RedirectResponse("/", SEE_OTHER)
+
+
 @router.post("/logout")
 def logout() -> Response:
     response = RedirectResponse("/", SEE_OTHER)

@@ -46,7 +46,7 @@ def submit(
         return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, runs))
     record = start_benchmark(service, spec, idempotency_key)
     response.headers["Location"] = f"/v1/benchmarks/{record.id}"
-    return benchmark_view(service, record)
+    return get_benchmark(record.id, service)
 
 
 @router.get("")
@@ -65,7 +65,8 @@ def list_benchmarks(
 @router.get("/{benchmark_id}")
 def get_benchmark(benchmark_id: BenchmarkId, service: ServiceDependency) -> BenchmarkView:
     """State of a benchmark and of all its runs."""
-    return benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
+    record = benchmark_store.get_benchmark(service.database, benchmark_id)
+    return benchmark_view(service, record, benchmark_store.runs_of(service.database, benchmark_id))
 
 
 @router.post("/{benchmark_id}/cancel", status_code=status.HTTP_202_ACCEPTED)

@@ -30,7 +30,7 @@ def test_a_run_has_its_spec_its_links_and_no_error(service):
 
 def test_a_benchmark_counts_the_states_of_its_runs(service):
     record = benchmarks.create_benchmark(service.database, BENCHMARK)
-    view = benchmark_view(service, record)
+    view = benchmark_view(service, record, benchmarks.runs_of(service.database, record.id))
     assert view.states == {"queued": len(view.runs)}
     assert not view.is_finished
     assert {run.benchmark_id for run in view.runs} == {record.id}

@@ -122,7 +122,7 @@ def test_a_ticked_benchmark_stays_ticked_when_another_one_comes(opened, service,
 
 
 def test_a_criticism_from_upload_to_report(opened, tmp_path):
-    hidden = draw_case(*arm(), np.random.default_rng(100), 0.3)
+    hidden = draw_case(*arm(), np.random.default_rng(101), 0.3)  # a gain, which can be trained on
     path = tmp_path / "arm.npz"
     np.savez(path, **recorded(hidden.measurement.episodes(range(12))))
     page = opened("/criticisms")
@@ -171,11 +171,65 @@ def test_a_refused_refresh_leaves_the_page_and_is_asked_again(opened, service):
         route.fulfill(status=503, body="later") if len(answers) == 1 else route.continue_()
 
     page.route(f"**/runs/{run}", refuse_once)
+    stale = page.get_by_text("the service answers 503.")
+    expect(stale).to_be_visible(timeout=12_000)
     expect(page.locator("#live h2").first).to_be_visible()
-    page.wait_for_timeout(12_000)
+    expect(stale).to_be_hidden(timeout=12_000)
     assert len(answers) >= 2
     expect(page.locator("#live h2").first).to_be_visible()
     service.client.cancel(run)
+
+
+def test_a_page_says_that_its_service_does_not_answer(opened):
+    page = opened("/robots")
+    page.route("**/robots", lambda route: route.abort())
+    expect(page.get_by_text("the service does not answer.")).to_be_visible(timeout=12_000)
+
+
+def test_a_form_is_submitted_once_however_often_one_clicks(opened):
+    page = opened("/submit")
+    asked = []
+
+    def answer(route):
+        asked.append(route.request.post_data)
+        route.fulfill(status=204)  # after which a browser stays where it is
+
+    page.route("**/submit", answer)
+    button = page.get_by_role("button", name="Start it")
+    button.dblclick()
+    expect(button).to_be_disabled()
+    page.wait_for_timeout(500)
+    assert len(asked) == 1
+    assert "act=start" in asked[0]
+
+
+def test_the_link_that_has_the_focus_keeps_it_through_refreshes(opened, service, finished):
+    """A sorted table puts its rows into their order again."""
+    other = service.client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})["id"]
+    page = opened("/")
+    page.locator("#runs").get_by_role("button", name="run", exact=True).click()
+    for run in (other, finished):
+        page.get_by_role("link", name=run).focus()
+        with page.expect_response(re.compile("/$"), timeout=40_000):
+            pass
+        page.wait_for_timeout(500)
+        assert page.evaluate("document.activeElement.textContent") == run
+
+
+def test_the_reason_why_there_is_no_film_is_told(opened, finished):
+    page = opened(f"/runs/{finished}")
+    refusal = {"detail": "another film is being made"}
+    page.route("**/film.mp4*", lambda route: route.fulfill(status=503, json=refusal))
+    page.locator("video").evaluate("film => { film.play().catch(() => {}) }")
+    expect(page.get_by_text("another film is being made")).to_be_visible()
+
+
+def test_learning_curves_become_as_narrow_as_the_window(opened, finished):
+    page = opened(f"/runs/{finished}")
+    expect(page.locator("#curves canvas")).to_be_visible()
+    page.set_viewport_size({"width": 390, "height": 800})
+    fits = "document.documentElement.scrollWidth <= 390"
+    page.wait_for_function(fits)
 
 
 def test_columns_of_times_sort_too(opened, service, finished):

@@ -10,6 +10,8 @@ const BORDERS = ["solid", "dashed", "dotted"];
 const RETRY_MS = 5000;
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
 const opened = new Set(); // ids of details that are open, likewise
+let focused = null; // before a refresh, which moves the rows of sorted tables
+let renewed = new Date();
 
 // the line of a curve whose colour comes again
 function inTurn(lines, number) {
@@ -78,7 +80,51 @@ document.addEventListener(
   },
   true,
 );
-document.addEventListener("htmx:after:swap", prepare);
+document.addEventListener("htmx:before:swap", () => (focused = document.activeElement));
+document.addEventListener("htmx:after:swap", ({ target, detail }) => {
+  prepare();
+  if (focused?.isConnected && focused !== document.activeElement) focused.focus({ preventScroll: true });
+  if (target.id !== "live" || detail.ctx.response.status >= 400) return; // then nothing was swapped
+  renewed = new Date();
+  const stale = document.getElementById("stale");
+  if (stale) stale.hidden = true;
+});
+for (const failure of ["htmx:error", "htmx:response:error"]) {
+  document.addEventListener(failure, ({ target, detail }) => {
+    if (target.id !== "live") return;
+    const status = detail.ctx?.response?.status;
+    tell("stale", `As of ${renewed.toLocaleTimeString()}: the service ${status ? `answers ${status}` : "does not answer"}.`);
+  });
+}
+
+function tell(id, text) {
+  const place = document.getElementById(id);
+  place.textContent = text;
+  place.hidden = false;
+}
+
+// a second click would submit a second time
+function enableForms(isEnabled) {
+  document.querySelectorAll('form[method="post"] button').forEach((each) => (each.disabled = !isEnabled));
+}
+document.addEventListener("submit", ({ target }) => {
+  // afterwards, because a button that is disabled sends no value
+  if (target.getAttribute("method") === "post") setTimeout(enableForms, 0, false);
+});
+window.addEventListener("pageshow", () => enableForms(true)); // also after going back
+
+// a player does not show why it was refused a film
+document.addEventListener(
+  "error",
+  async ({ target }) => {
+    if (target.tagName !== "VIDEO") return;
+    const answer = await fetch(target.currentSrc, { headers: { Range: "bytes=0-0" } }).catch(() => null);
+    if (answer?.ok) tell("refused-film", "It is there now: press play again.");
+    else tell("refused-film", (await answer?.json().catch(() => null))?.detail ?? "The service does not answer.");
+    target.load(); // it asks again when play is pressed
+  },
+  true,
+);
 
 // Learning curves of a run, from its stream of events, which has the earlier ones too.
 function follow(place) {
@@ -87,6 +133,9 @@ function follow(place) {
   let isDue = false;
 
   const short = (number) => Intl.NumberFormat("en", { notation: "compact" }).format(number);
+
+  const size = () => ({ width: Math.min(place.clientWidth, 1000), height: 320 });
+  new ResizeObserver(() => chart?.setSize(size())).observe(place);
 
   function draw() {
     isDue = false;
@@ -110,8 +159,7 @@ function follow(place) {
       value: (_, value) => (value === null ? "–" : value.toFixed(0)),
     }));
     const options = {
-      width: Math.min(place.clientWidth, 1000),
-      height: 320,
+      ...size(),
       scales: { x: { time: false } },
       series: [{ label: "steps" }, ...lines],
       axes: [

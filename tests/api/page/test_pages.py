@@ -52,12 +52,37 @@ def iterations_of(http, benchmark):
         ("/datasets", "Recordings of transitions"),
         ("/claims", "The paper’s claims"),
         ("/docs", "/v1/benchmarks"),
+        ("/docs", "what fills the fields that are not given"),
     ],
 )
 def test_every_page_answers_and_says_what_is_there(http, address, said):
     answer = http.get(address)
     assert answer.status_code == 200
     assert said in answer.text
+
+
+@pytest.mark.parametrize("address", ["/runs", "/benchmarks", "/login"])
+def test_an_address_that_one_may_guess_leads_to_the_first_page(http, address):
+    answer = http.get(address)
+    assert (answer.status_code, answer.headers["Location"]) == (303, "/")
+
+
+def test_a_browser_asks_each_time_whether_a_script_has_changed(http):
+    """A page of a new version with a script of an old one does what neither should."""
+    script = http.get("/static/page.js")
+    assert script.headers["Cache-Control"] == "no-cache"
+    tag = {"If-None-Match": script.headers["ETag"]}
+    assert http.get("/static/page.js", headers=tag).status_code == 304
+
+
+@pytest.mark.slow
+def test_a_film_is_sent_in_parts_to_players_that_ask_for_them(http, finished):
+    film = http.get(f"/v1/runs/{finished}/film.mp4", headers={"Range": "bytes=0-99"})
+    if film.status_code == 422:
+        pytest.skip(f"nothing can be drawn here: {film.json()['detail']}")
+    assert film.status_code == 206
+    assert len(film.content) == 100
+    assert film.headers["Content-Range"].startswith("bytes 0-99/")
 
 
 @pytest.mark.parametrize(
@@ -180,6 +205,7 @@ def test_the_page_of_a_run_shows_its_events(http, finished):
     assert f"/v1/runs/{finished}/figures/returns.svg" in page
     assert f'href="/v1/runs/{finished}/policy"' in page
     assert f"/v1/runs/{finished}/film.mp4?renewed=" in page
+    assert re.search(r'<text class="seconds" [^>]*>\d+\.\d s</text>', page)
     assert f'href="/runs/{finished}"' in http.get("/").text
     assert http.get("/runs/run_0").status_code == 404
 
@@ -233,7 +259,8 @@ def test_a_run_that_waits_for_a_robot_says_so(service, http):
     run = service.client.submit_run(spec)["id"]
     wait = r'It waits for a <a href="/robots">robot</a>: (.*), and more\.</p>'
     found = until(lambda: re.search(wait, http.get(f"/runs/{run}").text))
-    assert 'hx-get="/"' in http.get("/").text  # no stage is computed, and yet it goes on
+    # no stage is computed, and yet it goes on
+    assert 'hx-get="/" hx-trigger="every 5s"' in http.get("/").text
     http.post(f"/v1/runs/{run}/cancel")
     waiting = [f"evaluation {number} is pending" for number in range(10)]
     assert found[1] == ", ".join(waiting)

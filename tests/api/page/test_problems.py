@@ -34,7 +34,7 @@ def client():
 def test_a_browser_gets_a_page_and_a_program_gets_json(client):
     page = client.get("/nothing", headers=HTML)
     assert (page.status_code, page.headers["Content-Type"]) == (404, "text/html; charset=utf-8")
-    assert "<h1>" in page.text
+    assert "<h1>Not found</h1>" in page.text
     assert client.get("/nothing").json()["status"] == 404
 
 

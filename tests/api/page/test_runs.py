@@ -4,7 +4,7 @@ import pytest
 
 from adr_service.benchmark.cost import Execution
 from adr_service.events import IterationFinished, RunFailed, RunSucceeded, StageFinished
-from api.page.runs import chosen_of, timeline, words_of
+from api.page.runs import chosen_of, timeline, untrained, words_of
 
 
 def stage(asked, placed, began, ended, preparing=None):
@@ -56,6 +56,13 @@ def test_events_are_told_in_words():
     assert words_of(StageFinished(kind="infer", digest="a" * 64)) == "infer aaaaaaaa"
     assert words_of(RunFailed(submission=1, code="x", message="why")) == "why"
     assert words_of(RunSucceeded()) == ""
+
+
+def test_the_causes_that_no_training_simulates_are_named():
+    """Those in the robot itself are trained on; of kinds that are gone nothing is said."""
+    kinds = ("actuator_gain", "sensor_delay", "actuator_lag", "gone_since", "sensor_delay")
+    verdict = {"causes": [{"kind": kind} for kind in kinds]}
+    assert untrained(verdict) == ["sensor_delay", "actuator_lag"]
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,12 @@ def test_a_login_leads_to_no_other_site(client, address):
     assert (entered.status_code, entered.headers["Location"]) == (303, "/")
 
 
+def test_who_enters_the_address_of_the_login_gets_the_first_page(client):
+    """That address stays in a browser after a wrong token."""
+    answer = client.get("/login")
+    assert (answer.status_code, answer.headers["Location"]) == (303, "/")
+
+
 @pytest.mark.parametrize("scheme", ["http", "https"])
 def test_the_cookie_of_an_encrypted_login_is_never_sent_in_the_clear(client, scheme):
     entered = client.post(f"{scheme}://testserver/login", data={"token": TOKEN})
