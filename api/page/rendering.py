@@ -1,13 +1,11 @@
 """Pages from templates, and the links at the top of each."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 from fastapi import Request, Response
 from fastapi.templating import Jinja2Templates
 from jinja2 import StrictUndefined
-from markupsafe import Markup, escape
 
 from adr_service.client.connection import DEFAULT_URL
 from api.guard import COOKIE
@@ -32,16 +30,10 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _marked(text: str) -> Markup:
-    """Text with what stands between backticks as code."""
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))  # noqa: S704
-
-
 _templates = Jinja2Templates(Path(__file__).parent / "templates")
 _templates.env.undefined = StrictUndefined
 _templates.env.filters["sentence"] = _sentence
 _templates.env.filters["apart"] = apart_of
-_templates.env.filters["marked"] = _marked
 
 
 def show(
