@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from adr_service.benchmark.aggregate import ProfilePoint
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
+from adr_service.benchmark.statistics import FEWEST_SEEDS
 from adr_service.methods.catalogue import methods
 
 _COLLECTOR_COLOURS = {
@@ -173,14 +174,18 @@ def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> 
 
 
 def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    """Each method's mean and interval after the last iteration that no seed lacks, with its number
-    where others have more."""
+    """Each method's mean and interval after the last iteration of enough seeds for an interval, or
+    of as many as it has, with its number where others have more."""
     names = _names(rows)
     most = max((row.iteration for row in rows), default=0)
     labels: list[str] = []
     for x, method in enumerate(names):
         own = [row for row in rows if row.method == method]
-        last = max(own, key=lambda row: (row.seeds, row.iteration))
+        learned = [row for row in own if row.iteration > 0] or own
+        enough = min(FEWEST_SEEDS, max(row.seeds for row in learned))
+        *_, last = sorted(
+            (row for row in learned if row.seeds >= enough), key=lambda row: row.iteration
+        )
         axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
         _bars(axis, [x], [last], _colour(method))
         is_level = methods()[method].learns_from == "nothing"
