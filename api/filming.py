@@ -1,12 +1,11 @@
 """Films of runs' policies, made one at a time in a process of its own.
 
-    path = Films().of(spec, policy, distribution_view(outcome).model_dump())     # an .mp4
+    path = Films(Path("films")).of(spec, policy, distribution_view(outcome).model_dump())
 
 Drawing takes seconds, and a graphics driver that crashes takes its process along.
 """
 
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ from typing import Any
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RunSpec
+from adr_service.whole_files import written_whole
 
 _MOST_KEPT = 32
 _LONGEST_S = 180.0
@@ -31,12 +31,10 @@ class NoFilm(AdrError):
 
 
 class Films:
-    """Makes films, and keeps the latest as files until it is closed."""
+    """Makes films, and keeps the latest in a folder."""
 
-    def __init__(self) -> None:
-        self._folder: Path | None = None  # made with the first film
-        self._kept: dict[str, Path] = {}
-        self._free = threading.Lock()
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._free = folder, threading.Lock()
         self._making = ""  # the key of the film that is being made
 
     def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> Path:
@@ -49,28 +47,30 @@ class Films:
         if spec.extension or getattr(spec.target, "effects", ()):
             raise InvalidInput("films show a task's own simulator; this run has effects beyond it")
         key = sha256(policy + canonical_json([spec.target.kind, distribution]).encode())
-        if key in self._kept:
-            return self._kept[key]
-        if not self._free.acquire(blocking=key == self._making):
+        film = self._folder / f"{key}.mp4"
+        if film.exists():
+            return film
+        is_made_already = key == self._making
+        if not self._free.acquire(blocking=is_made_already):
             raise NoFilm("another film is being made; ask again in some seconds")
         try:
-            if key not in self._kept:
+            if is_made_already and not film.exists():
+                raise NoFilm("the film could not be made; ask again for the reason")
+            if not film.exists():
                 self._making = key
-                self._folder = self._folder or Path(tempfile.mkdtemp(prefix="adr_films_"))
-                film = self._folder / f"{key}.mp4"
-                film.write_bytes(_film(spec, policy, distribution))
-                self._kept[key] = film
-                if len(self._kept) > _MOST_KEPT:
-                    self._kept.pop(next(iter(self._kept))).unlink()  # the oldest
-            return self._kept[key]
+                self._keep(film, _film(spec, policy, distribution))
         finally:
             self._making = ""
             self._free.release()
+        return film
 
-    def close(self) -> None:
-        """Delete the films."""
-        if self._folder is not None:
-            shutil.rmtree(self._folder)
+    def _keep(self, film: Path, content: bytes) -> None:
+        self._folder.mkdir(exist_ok=True)
+        with written_whole(film) as part:
+            part.write_bytes(content)
+        oldest_first = sorted(self._folder.glob("*.mp4"), key=lambda path: path.stat().st_mtime)
+        for old in oldest_first[:-_MOST_KEPT]:
+            old.unlink()
 
 
 def _film(spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:

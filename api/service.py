@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import cached_property
 from threading import Lock
 from typing import Annotated, Any
 
@@ -44,7 +45,6 @@ class Service:
     settings: Settings
     database: Database
     orchestrator: Orchestrator
-    films: Films = field(default_factory=Films)
     # held while the results of a run or a benchmark are compared, by its id
     comparing: defaultdict[str, Lock] = field(default_factory=lambda: defaultdict(Lock))
     # the latest reports on the paper's claims, by digest of the iteration counts
@@ -78,6 +78,10 @@ class Service:
             f"no node of the cluster has any {settings.resource}, so nothing would ever run: add "
             "one (ray start --address=HEAD:6379), or set ADR_MAX_CORES for its autoscaler"
         )
+
+    @cached_property
+    def films(self) -> Films:
+        return Films(self.settings.data_dir / "films")
 
     @property
     def dashboard_url(self) -> str | None:
@@ -135,7 +139,6 @@ class Service:
     def close(self) -> None:
         self.orchestrator.close()
         self.database.close()
-        self.films.close()
 
 
 def open_service(settings: Settings) -> Service:

@@ -1,8 +1,8 @@
 """Films of runs' policies."""
 
+import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 
 import imageio_ffmpeg
 import pytest
@@ -17,9 +17,8 @@ FRICTION = {"kind": "joint_coulomb_friction", "location": "joint:elbow", "values
 
 
 @pytest.fixture
-def films():
-    with closing(Films()) as films:
-        yield films
+def films(tmp_path):
+    return Films(tmp_path / "films")
 
 
 def test_a_run_with_effects_beyond_the_tasks_simulator_has_no_film(films):
@@ -74,11 +73,41 @@ def test_whoever_asks_for_the_film_that_is_being_made_waits_for_it(films, monkey
     assert made == ["a film"]
 
 
+def test_whoever_waited_for_a_film_that_could_not_be_made_does_not_make_it_again(
+    films, monkeypatch
+):
+    begun, may_end, tried = threading.Event(), threading.Event(), []
+
+    def failing(*_):
+        tried.append("a film")
+        begun.set()
+        assert may_end.wait(30)
+        raise InvalidInput("there is no film: no driver")
+
+    monkeypatch.setattr("api.filming._film", failing)
+    spec = RunSpec.model_validate(SPEC)
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(films.of, spec, b"one", {})
+        assert begun.wait(30)
+        second = threads.submit(films.of, spec, b"one", {})
+        with pytest.raises(TimeoutError):
+            second.result(0.1)
+        may_end.set()
+        with pytest.raises(InvalidInput, match="no driver"):
+            first.result(30)
+        with pytest.raises(NoFilm, match="could not be made"):
+            second.result(30)
+    assert tried == ["a film"]
+
+
 def test_only_the_latest_films_stay_on_disk(films, monkeypatch):
     monkeypatch.setattr("api.filming._film", lambda spec, policy, _: policy)
     monkeypatch.setattr("api.filming._MOST_KEPT", 2)
     spec = RunSpec.model_validate(SPEC)
-    paths = [films.of(spec, policy, {}) for policy in (b"one", b"two", b"three")]
+    paths = []
+    for number, policy in enumerate((b"one", b"two", b"three")):
+        paths.append(films.of(spec, policy, {}))
+        os.utime(paths[-1], (number, number))  # made one after the other
     assert [path.exists() for path in paths] == [False, True, True]
     assert paths[2].read_bytes() == b"three"
 
