@@ -7,13 +7,11 @@ import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Any
 
 import anyio
 import anyio.to_thread
 from fastapi import Depends, FastAPI
 from starlette.datastructures import State
-from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -82,24 +80,12 @@ def create_app(settings: Settings, on_death: Callable[[], None] = lambda: None) 
         is_page = router in page.routers  # an address that somebody shared may have more in it
         checks = [] if is_page else [Depends(check_parameters)]
         app.include_router(router, dependencies=checks)
-    app.mount("/static", _Files(directory=STATIC))
+    app.mount("/static", StaticFiles(directory=STATIC))
     app.add_middleware(Etags)
     app.add_middleware(Guard, settings=settings)
     app.add_middleware(Problems)
     app.add_middleware(_Starting, state=app.state)  # outermost
     return app
-
-
-class _Files(StaticFiles):
-    """Files that browsers ask about each time: else one of before an upgrade may be used for days.
-
-    Unchanged ones are not sent again.
-    """
-
-    def file_response(self, *args: Any, **more: Any) -> Response:
-        response = super().file_response(*args, **more)
-        response.headers["Cache-Control"] = "no-cache"
-        return response
 
 
 @asynccontextmanager

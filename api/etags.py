@@ -7,7 +7,8 @@ from adr_service.json_values import sha256
 
 
 class Etags:
-    """Adds a tag to whole answers to GET; streams pass unchanged. Plain ASGI."""
+    """Adds a tag to whole answers to GET, which are asked for again each time: else a browser may
+    use a script of before an upgrade for days. Streams pass unchanged. Plain ASGI."""
 
     def __init__(self, app: ASGIApp):
         self._app = app
@@ -25,6 +26,7 @@ class _Tagged:
     def __init__(self, send: Send, known: set[str]):
         self._send, self._known = send, known
         self._start: Message | None = None
+        self._is_known = False
 
     async def send(self, message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -34,17 +36,17 @@ class _Tagged:
                 return
         elif self._start is not None:
             start, self._start = self._start, None
-            if message.get("more_body"):  # it comes in parts, of which this is one
-                await self._send(start)
-                await self._send(message)
-                return
             headers = MutableHeaders(raw=start["headers"])
+            headers.setdefault("Cache-Control", "no-cache")
             tag = headers.get("ETag")
-            if tag is None:
+            if tag is None and not message.get("more_body"):  # else it comes in parts
                 tag = headers["ETag"] = f'"{sha256(message["body"])[:32]}"'
-            if tag in self._known or "*" in self._known:
-                start["status"], message = 304, {**message, "body": b""}
+            if tag is not None and (tag in self._known or "*" in self._known):
+                start["status"], message = 304, {"type": message["type"], "body": b""}
                 del headers["content-length"]
-                start["headers"] = headers.raw
+                self._is_known = True
+            start["headers"] = headers.raw
             await self._send(start)
+        elif self._is_known:  # the other parts
+            return
         await self._send(message)
