@@ -164,7 +164,7 @@ def cautions_of(
     """What of these runs cannot be read here, and which versions their rows may mix."""
     cautions = lost(outcomes)
     if unread := sum(isinstance(record.spec, LostRun) for record in records):
-        cautions.append(f"{unread} runs cannot be read here, and are left out")
+        cautions.append(f"runs that cannot be read here, and are left out: {unread}")
     if mixed := _mixed(service, records):
         cautions.append(f"rows may mix versions: {mixed}")
     return cautions

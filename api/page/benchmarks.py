@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from adr_service.benchmark.budgets import changes
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, final_outcomes, not_compared, table
+from adr_service.benchmark.comparison import Outcome, final_outcomes, lost, not_compared, table
 from adr_service.benchmark.figures import CAPTIONS, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -55,7 +55,6 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         offline=names_of("recordings"),
         figures=drawable(outcomes),
         captions=CAPTIONS,
-        cautions=cautions_of(service, records, outcomes),
         iterations=len(outcomes),
         is_guarded=bool(service.settings.token.get_secret_value()),
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
@@ -69,13 +68,15 @@ def _tables(
     """The tables. Bootstraps take a moment: not at every refresh of what changes anyway."""
     if shown.is_finished:
         found = json.loads(results_json(service, shown.id, records))
-        rows, aggregates = found["rows"], found["aggregates"]
+        rows, aggregates, cautions = found["rows"], found["aggregates"], found["cautions"]
         matrices = improvement_matrices(found["comparisons"])
         claims = [asdict(report) for report in reports(outcomes)]
     else:
         rows, aggregates, matrices, claims = _rows(outcomes), [], [], []
+        cautions = lost(outcomes)
     final = final_rows(rows, outcomes)
     return {
+        "cautions": cautions,
         "rows": rows,
         "final": final,
         "not_compared": not_compared(outcomes),

@@ -132,6 +132,19 @@ def test_the_report_says_what_its_results_lack(service, benchmark, tmp_path, mon
     assert "rows may mix versions: a 1 and 2.</strong>" in text
 
 
+@pytest.mark.usefixtures("one_figure")
+def test_the_report_lists_methods_by_their_means(service, benchmark, tmp_path, monkeypatch):
+    found = service.client.results(benchmark)
+    means = {"dropo": 0.5, "prior": 0.1, "oracle": 0.9}
+    found["aggregates"] = [
+        {**each, "cells": 2, "mean": means[each["method"]]} for each in found["aggregates"]
+    ]
+    monkeypatch.setattr(AdrClient, "results", lambda client, id: found)
+    text = write_report(service.client, benchmark, tmp_path / "report").read_text()
+    listed = re.findall(r"<tr><td>(\w+)</td>\s*<td class=\"number\">0\.[159]0", text)
+    assert listed[:3] == ["oracle", "dropo", "prior"]
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium in the path")
 @pytest.mark.parametrize("width", [1440, 390])
 def test_a_browser_shows_the_page_from_disk_without_errors(page, width, tmp_path):

@@ -174,16 +174,19 @@ def test_a_refused_refresh_leaves_the_page_and_is_asked_again(opened, service):
     stale = page.get_by_text("the service answers 503.")
     expect(stale).to_be_visible(timeout=12_000)
     expect(page.locator("#live h2").first).to_be_visible()
-    expect(stale).to_be_hidden(timeout=12_000)
+    expect(stale).to_have_count(0, timeout=12_000)
     assert len(answers) >= 2
     expect(page.locator("#live h2").first).to_be_visible()
     service.client.cancel(run)
 
 
-def test_a_page_says_that_its_service_does_not_answer(opened):
-    page = opened("/robots")
+def test_a_page_says_that_its_service_does_not_answer(chromium, service):
+    context = chromium.new_context(base_url=service.client.url)
+    page = context.new_page()
+    page.goto("/robots")
     page.route("**/robots", lambda route: route.abort())
     expect(page.get_by_text("the service does not answer.")).to_be_visible(timeout=12_000)
+    context.close()
 
 
 def test_a_form_is_submitted_once_however_often_one_clicks(opened):
@@ -197,7 +200,7 @@ def test_a_form_is_submitted_once_however_often_one_clicks(opened):
     page.route("**/submit", answer)
     button = page.get_by_role("button", name="Start it")
     button.dblclick()
-    expect(button).to_be_disabled()
+    button.click()
     page.wait_for_timeout(500)
     assert len(asked) == 1
     assert "act=start" in asked[0]
@@ -221,7 +224,7 @@ def test_the_reason_why_there_is_no_film_is_told(opened, finished):
     refusal = {"detail": "another film is being made"}
     page.route("**/film.mp4*", lambda route: route.fulfill(status=503, json=refusal))
     page.locator("video").evaluate("film => { film.play().catch(() => {}) }")
-    expect(page.get_by_text("another film is being made")).to_be_visible()
+    expect(page.get_by_text("No film: another film is being made.")).to_be_visible()
 
 
 def test_learning_curves_become_as_narrow_as_the_window(opened, finished):

@@ -1,5 +1,5 @@
-// What the pages do with scripts: tables that sort and filter, and learning curves as they grow.
-// Everything else is HTML from the server; without scripts nothing is missing but these two.
+// What the pages do with scripts: tables that sort and filter, learning curves as they grow, and
+// words on what fails. All else is HTML from the server, and works without them.
 "use strict";
 
 // Okabe and Ito's colours, in the order of the figures
@@ -8,6 +8,7 @@ const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9
 const DASHES = [undefined, [8, 4], [2, 3]];
 const BORDERS = ["solid", "dashed", "dotted"];
 const RETRY_MS = 5000;
+const SUBMITTING_MS = 10_000; // for an answer to a form
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
 const opened = new Set(); // ids of details that are open, likewise
 let focused = null; // before a refresh, which moves the rows of sorted tables
@@ -86,32 +87,34 @@ document.addEventListener("htmx:after:swap", ({ target, detail }) => {
   if (focused?.isConnected && focused !== document.activeElement) focused.focus({ preventScroll: true });
   if (target.id !== "live" || detail.ctx.response.status >= 400) return; // then nothing was swapped
   renewed = new Date();
-  const stale = document.getElementById("stale");
-  if (stale) stale.hidden = true;
+  tell("stale", "");
 });
 for (const failure of ["htmx:error", "htmx:response:error"]) {
   document.addEventListener(failure, ({ target, detail }) => {
     if (target.id !== "live") return;
     const status = detail.ctx?.response?.status;
-    tell("stale", `As of ${renewed.toLocaleTimeString()}: the service ${status ? `answers ${status}` : "does not answer"}.`);
+    const answer = status ? `answers ${status}` : "does not answer";
+    tell("stale", `As of ${renewed.toLocaleTimeString()}: the service ${answer}.`);
   });
 }
 
+// says something at a place of a page that is for it; the same words are not announced again
 function tell(id, text) {
   const place = document.getElementById(id);
-  place.textContent = text;
-  place.hidden = false;
+  if (place && place.textContent !== text) place.textContent = text;
 }
 
 // a second click would submit a second time
-function enableForms(isEnabled) {
-  document.querySelectorAll('form[method="post"] button').forEach((each) => (each.disabled = !isEnabled));
-}
-document.addEventListener("submit", ({ target }) => {
-  // afterwards, because a button that is disabled sends no value
-  if (target.getAttribute("method") === "post") setTimeout(enableForms, 0, false);
+let submitted = -Infinity;
+document.addEventListener("submit", (event) => {
+  if (event.target.getAttribute("method") !== "post") return;
+  if (Date.now() < submitted + SUBMITTING_MS) event.preventDefault();
+  else submitted = Date.now();
 });
-window.addEventListener("pageshow", () => enableForms(true)); // also after going back
+window.addEventListener("pageshow", () => (submitted = -Infinity)); // also after going back
+document.addEventListener("keydown", ({ key }) => {
+  if (key === "Escape") submitted = -Infinity; // which stops a browser
+});
 
 // a player does not show why it was refused a film
 document.addEventListener(
@@ -119,12 +122,14 @@ document.addEventListener(
   async ({ target }) => {
     if (target.tagName !== "VIDEO") return;
     const answer = await fetch(target.currentSrc, { headers: { Range: "bytes=0-0" } }).catch(() => null);
-    if (answer?.ok) tell("refused-film", "It is there now: press play again.");
-    else tell("refused-film", (await answer?.json().catch(() => null))?.detail ?? "The service does not answer.");
+    const problem = answer?.ok ? null : await answer?.json().catch(() => null);
+    const refusal = problem?.detail ?? "the service does not answer";
+    tell("refused-film", answer?.ok ? "It did not play: try again, or save it." : `No film: ${refusal}.`);
     target.load(); // it asks again when play is pressed
   },
   true,
 );
+document.addEventListener("playing", () => tell("refused-film", ""), true);
 
 // Learning curves of a run, from its stream of events, which has the earlier ones too.
 function follow(place) {

@@ -6,10 +6,14 @@ from datetime import timedelta
 
 import pytest
 
+from adr_service.events import CriticismFinished
+from adr_service.specs import CriticismSpec
 from api.page import lists
 from api.page import runs as run_page
-from db import runs, visits
+from db import datasets, runs, visits
 from db.clock import SteadyClock
+from db.events import append_event
+from tests.api.cli.test_verdict_table import CAUSE, VERDICT
 from tests.api.standins import Service
 from tests.db.leases import LEASE_S, SPEC, START, claim, publish
 from tests.recordings import recording
@@ -35,6 +39,21 @@ def run(service):
 def test_the_end_of_a_lease_is_counted_by_the_clock_of_leases(service, run):
     assert f'<td data-value="60">in {LEASE_S:.0f} s</td>' in shown(service, "/robots")
     assert "is claimed by robot-7" in shown(service, f"/runs/{run}")
+
+
+@pytest.mark.parametrize(("kind", "is_trained"), [("actuator_gain", True), ("sensor_delay", False)])
+def test_training_is_offered_on_what_trainings_can_simulate(service, kind, is_trained):
+    data = recording("arm", 40)
+    stored, _ = datasets.store_dataset(service.database, data.to_npz(), data)
+    spec = CriticismSpec.model_validate({"task": "arm", "dataset": stored.id})
+    run = runs.create_run(service.database, spec)
+    verdict = {**VERDICT, "causes": [{**CAUSE, "kind": kind}]}
+    found = CriticismFinished(verdict=verdict, files={"effects.json": "0" * 64})
+    append_event(service.database, run.id, found)
+    page = shown(service, f"/runs/{run.id}")
+    assert (f'action="/runs/{run.id}/train"' in page) == is_trained
+    refusal = f"trainings do not simulate effects on commands or in sensors: {kind}.</p>"
+    assert (refusal in page) != is_trained
 
 
 @pytest.mark.parametrize("late_s", [0, 3541])
