@@ -52,7 +52,7 @@ def iterations_of(http, benchmark):
         ("/datasets", "Recordings of transitions"),
         ("/claims", "The paper’s claims"),
         ("/docs", "/v1/benchmarks"),
-        ("/docs", "what fills the fields that are not given"),
+        ("/docs", "a method&#39;s name, or its settings with"),
     ],
 )
 def test_every_page_answers_and_says_what_is_there(http, address, said):
