@@ -161,7 +161,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
 def cautions_of(
     service: Service, records: Sequence[RunRecord], outcomes: Sequence[Outcome]
 ) -> list[str]:
-    """What of these runs cannot be read here, and which versions their rows may mix."""
+    """Warnings of runs that cannot be read here, and of rows that may mix versions."""
     cautions = lost(outcomes)
     if unread := sum(isinstance(record.spec, LostRun) for record in records):
         cautions.append(f"runs that cannot be read here, and are left out: {unread}")

@@ -50,54 +50,51 @@ def test_one_film_is_made_at_a_time(films, monkeypatch):
     assert films.of(spec, b"one", {}).read_bytes() == b"a film"  # it was kept
 
 
-def test_whoever_asks_for_the_film_that_is_being_made_waits_for_it(films, monkeypatch):
+@pytest.fixture
+def asked_twice(films, monkeypatch):
+    """Asks for a film, and again while it is made; returns both requests once it has been made or
+    has failed, and how often that was tried."""
+
+    def ask(end):
+        begun, may_end, tried = threading.Event(), threading.Event(), []
+
+        def slowly(*_):
+            tried.append(1)
+            begun.set()
+            assert may_end.wait(30)
+            return end()
+
+        monkeypatch.setattr("api.filming._film", slowly)
+        spec = RunSpec.model_validate(SPEC)
+        with ThreadPoolExecutor(2) as threads:
+            first = threads.submit(films.of, spec, b"one", {})
+            assert begun.wait(30)
+            second = threads.submit(films.of, spec, b"one", {})
+            with pytest.raises(TimeoutError):
+                second.result(0.1)
+            may_end.set()
+        return first, second, len(tried)
+
+    return ask
+
+
+def test_whoever_asks_for_the_film_that_is_being_made_waits_for_it(asked_twice):
     """A browser whose page is loaded again, for one."""
-    begun, may_end, made = threading.Event(), threading.Event(), []
-
-    def slowly(*_):
-        made.append("a film")
-        begun.set()
-        assert may_end.wait(30)
-        return b"a film"
-
-    monkeypatch.setattr("api.filming._film", slowly)
-    spec = RunSpec.model_validate(SPEC)
-    with ThreadPoolExecutor(2) as threads:
-        first = threads.submit(films.of, spec, b"one", {})
-        assert begun.wait(30)
-        second = threads.submit(films.of, spec, b"one", {})
-        with pytest.raises(TimeoutError):
-            second.result(0.1)
-        may_end.set()
-        assert second.result(30) == first.result(30)
-    assert made == ["a film"]
+    first, second, tries = asked_twice(lambda: b"a film")
+    assert second.result() == first.result()
+    assert tries == 1
 
 
-def test_whoever_waited_for_a_film_that_could_not_be_made_does_not_make_it_again(
-    films, monkeypatch
-):
-    begun, may_end, tried = threading.Event(), threading.Event(), []
-
-    def failing(*_):
-        tried.append("a film")
-        begun.set()
-        assert may_end.wait(30)
+def test_whoever_waited_for_a_film_that_could_not_be_made_does_not_make_it_again(asked_twice):
+    def fail():
         raise InvalidInput("there is no film: no driver")
 
-    monkeypatch.setattr("api.filming._film", failing)
-    spec = RunSpec.model_validate(SPEC)
-    with ThreadPoolExecutor(2) as threads:
-        first = threads.submit(films.of, spec, b"one", {})
-        assert begun.wait(30)
-        second = threads.submit(films.of, spec, b"one", {})
-        with pytest.raises(TimeoutError):
-            second.result(0.1)
-        may_end.set()
-        with pytest.raises(InvalidInput, match="no driver"):
-            first.result(30)
-        with pytest.raises(NoFilm, match="could not be made"):
-            second.result(30)
-    assert tried == ["a film"]
+    first, second, tries = asked_twice(fail)
+    with pytest.raises(InvalidInput, match="no driver"):
+        first.result()
+    with pytest.raises(NoFilm, match="could not be made"):
+        second.result()
+    assert tries == 1
 
 
 def test_only_the_latest_films_stay_on_disk(films, monkeypatch):

@@ -59,7 +59,7 @@ def test_events_are_told_in_words():
 
 
 def test_the_causes_that_no_training_simulates_are_named():
-    """Those in the robot itself are trained on; of kinds that are gone nothing is said."""
+    """A verdict of an older version may have kinds that are gone."""
     kinds = ("actuator_gain", "sensor_delay", "actuator_lag", "gone_since", "sensor_delay")
     verdict = {"causes": [{"kind": kind} for kind in kinds]}
     assert untrained(verdict) == ["sensor_delay", "actuator_lag"]

@@ -36,7 +36,7 @@ def test_a_login_leads_to_no_other_site(client, address):
 
 
 def test_who_enters_the_address_of_the_login_gets_the_first_page(client):
-    """That address stays in a browser after a wrong token."""
+    """A browser stays at that address after a wrong token."""
     answer = client.get("/login")
     assert (answer.status_code, answer.headers["Location"]) == (303, "/")
 
