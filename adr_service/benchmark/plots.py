@@ -183,9 +183,8 @@ def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
         own = [row for row in rows if row.method == method]
         learned = [row for row in own if row.iteration > 0] or own
         enough = min(FEWEST_SEEDS, max(row.seeds for row in learned))
-        *_, last = sorted(
-            (row for row in learned if row.seeds >= enough), key=lambda row: row.iteration
-        )
+        counted = [row for row in learned if row.seeds >= enough]
+        last = max(counted, key=lambda row: row.iteration)
         axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
         _bars(axis, [x], [last], _colour(method))
         is_level = methods()[method].learns_from == "nothing"
