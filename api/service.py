@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from functools import cached_property
 from threading import Lock
 from typing import Annotated, Any
 
@@ -45,6 +44,7 @@ class Service:
     settings: Settings
     database: Database
     orchestrator: Orchestrator
+    films: Films
     # held while the results of a run or a benchmark are compared, by its id
     comparing: defaultdict[str, Lock] = field(default_factory=lambda: defaultdict(Lock))
     # the latest reports on the paper's claims, by digest of the iteration counts
@@ -78,10 +78,6 @@ class Service:
             f"no node of the cluster has any {settings.resource}, so nothing would ever run: add "
             "one (ray start --address=HEAD:6379), or set ADR_MAX_CORES for its autoscaler"
         )
-
-    @cached_property
-    def films(self) -> Films:
-        return Films(self.settings.data_dir / "films")
 
     @property
     def dashboard_url(self) -> str | None:
@@ -155,7 +151,7 @@ def open_service(settings: Settings) -> Service:
         # last: a lease of a few seconds would not outlast the start of Ray
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         undone.pop_all()
-    return Service(settings, database, orchestrator)
+    return Service(settings, database, orchestrator, Films(settings.data_dir / "films"))
 
 
 def _ray_options(settings: Settings) -> RayOptions:

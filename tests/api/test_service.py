@@ -58,8 +58,8 @@ def test_without_a_core_work_is_refused_unless_an_autoscaler_is_asked_for_one():
     orchestrator.cores = 0
     joined = {"ray_address": "head:6379", "resource": "adr_trainer"}
     with pytest.raises(ClusterUnavailable, match="no node of the cluster has any adr_trainer"):
-        Service(Settings(**joined), None, orchestrator).check_cores()
-    Service(Settings(**joined, max_cores=8), None, orchestrator).check_cores()
+        Service(Settings(**joined), None, orchestrator, None).check_cores()
+    Service(Settings(**joined, max_cores=8), None, orchestrator, None).check_cores()
 
 
 @pytest.mark.parametrize("hours", [-2, 2])
@@ -67,7 +67,7 @@ def test_nothing_expires_while_the_clock_has_been_set_by_hours(file_database, ho
     """A clock that jumps by years would delete all results for good."""
     run = runs.create_run(file_database, SPEC)
     events.append_event(file_database, run.id, RunSucceeded())
-    service = Service(Settings(retention_days=1e-9), file_database, Orchestrator())
+    service = Service(Settings(retention_days=1e-9), file_database, Orchestrator(), None)
     assert [id for _, id in service.expired()] == [run.id]
     assert not caplog.records
     then = datetime.now(UTC) - timedelta(hours=hours)
@@ -84,7 +84,8 @@ def test_work_is_refused_where_the_disk_of_the_data_or_of_the_database_is_full(
     free = {tmp_path / "data": 2 * 10**9, tmp_path / "small": 10**9, tmp_path / full: 10**6}
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free[path]))
     url = f"sqlite:///{tmp_path / 'small' / 'adr.sqlite'}"
-    service = Service(Settings(data_dir=tmp_path / "data", database_url=url), None, Orchestrator())
+    settings = Settings(data_dir=tmp_path / "data", database_url=url)
+    service = Service(settings, None, Orchestrator(), None)
     assert service.free_disk() == 10**6
     with pytest.raises(DiskFull, match="has 1 MB left; new work is refused below 500"):
         service.check_disk()
