@@ -16,13 +16,6 @@ from types import ModuleType
 from adr_service.errors import UnknownName
 
 _GYMNASIUM = "gymnasium"
-_SUFFIXES = {
-    "vanilla": "",
-    "noisy": "Noisy",
-    "unmodeled": "Unmodeled",
-    "edge": "Edge",
-    "outside": "Outside",
-}
 
 
 def gymnasium_id(task: str, variant: str) -> str:
@@ -31,10 +24,11 @@ def gymnasium_id(task: str, variant: str) -> str:
 
     if task not in BUILT_IN:
         raise UnknownName("task with a Gymnasium id", task, BUILT_IN)
-    if variant not in _SUFFIXES:
-        raise UnknownName("variant with a Gymnasium id", variant, _SUFFIXES)
+    if variant not in BUILT_IN[task].variants:
+        raise UnknownName("variant with a Gymnasium id", variant, BUILT_IN[task].variants)
     robot = "".join(word.capitalize() for word in task.split("_"))
-    return f"adr/Random{robot}{_SUFFIXES[variant]}-v0"
+    suffix = "" if variant == "vanilla" else variant.capitalize()
+    return f"adr/Random{robot}{suffix}-v0"
 
 
 def register_with_gymnasium() -> None:
