@@ -46,7 +46,7 @@ class Evidence:
     is_tested: bool = True  # False: it must hold for every seed, and has no error of a test
     needed: Callable[[float], float] = lambda level: float("inf")  # seeds for a two-sided level
     in_part: bool = False  # at least one of several checks was measured
-    leans: bool | None = None  # of several checks, whose p-values are corrected: as all of them do
+    leans: bool | None = None  # of joined checks: all lean to support; None: decided by p-values
 
     @property
     def is_measured(self) -> bool:
@@ -100,14 +100,18 @@ def compared(
             return _nothing([])  # a method after its only iteration is no better than itself
         if gap := _gap_of(measured, [*ones, *others]):
             return gap
-        gaps = [_gaps(_by_seed(measured.of(a)), _by_seed(measured.of(b))) for a, b in pairs]
-        seeds = sorted(set[int].intersection(*(set(each) for each in gaps)))
+        differences = [
+            _differences(_by_seed(measured.of(a)), _by_seed(measured.of(b))) for a, b in pairs
+        ]
+        seeds = sorted(set[int].intersection(*(set(each) for each in differences)))
         if not seeds:
             return _nothing([f"{ones[0]} and {others[0]} have no seed in common"])
         names = f"{ones[0]} minus {others[0]}"
         if len(ones) > 1:
             names = f"{ones[0].method} minus {others[0].method}, mean of {len(ones)} cells"
-        means = np.array([sum(each[seed] for each in gaps) / len(gaps) for seed in seeds])
+        means = np.array(
+            [sum(each[seed] for each in differences) / len(differences) for seed in seeds]
+        )
         sides = (f"{a[0].method}, {_trained(*map(measured.of, a))}" for a in (ones, others))
         line = f"{names}: {seed_interval(means)}, {_seeds(len(seeds))}; {'; '.join(sides)}"
         return judge(means, line)
@@ -117,12 +121,12 @@ def compared(
 
 def higher(one: Cell, other: Cell) -> Check:
     """One method earns more than another."""
-    return compared([one], [other], lambda gaps, line: above(gaps, 0.0, line))
+    return compared([one], [other], lambda differences, line: above(differences, 0.0, line))
 
 
 def at_least(one: Cell, other: Cell) -> Check:
     """One method earns as much as another, or less by `_SAME` at most."""
-    return compared([one], [other], lambda gaps, line: above(gaps, -_SAME, line))
+    return compared([one], [other], lambda differences, line: above(differences, -_SAME, line))
 
 
 def equal(one: Cell, other: Cell) -> Check:
@@ -141,7 +145,7 @@ def drops(task: str, variant: str, method: str) -> Check:
             is_there = measured.of(Cell(task, variant, method, 0))
             return _nothing([few] if iterations or is_there else [])
         fallen = [
-            compared([a], [b], lambda gaps, line: above(gaps, _SAME, line))(measured)
+            compared([a], [b], lambda differences, line: above(differences, _SAME, line))(measured)
             for a, b in combinations(known, 2)
         ]
         return _disjunction(fallen)
@@ -194,9 +198,9 @@ def above(values: Vector, bound: float, line: str) -> Evidence:
     return Evidence(float(supports), float(contradicts), [line], needed=needed)
 
 
-def _within(gaps: Vector, line: str) -> Evidence:
+def _within(differences: Vector, line: str) -> Evidence:
     """The mean of seeds' values (n,) lies within `_SAME` of zero."""
-    return conjunction([above(gaps, -_SAME, line), above(-gaps, -_SAME, line)])
+    return conjunction([above(differences, -_SAME, line), above(-differences, -_SAME, line)])
 
 
 def _seeds_needed(distance: float, std: float) -> Callable[[float], float]:
@@ -231,7 +235,7 @@ def _gap_of(measured: Measured, cells: Sequence[Cell]) -> Evidence | None:
 
 
 def _trained(*cells: dict[int, Outcome]) -> str:
-    """Counts policies that learnt their own source: the others may settle a claim by themselves."""
+    """Count policies that reached the threshold; those that did not may settle a claim alone."""
     flags = _reached(*cells)
     return f"{sum(flags)} of {len(flags)} policies reached the threshold on their source"
 
@@ -253,7 +257,7 @@ def _by_seed(outcomes: dict[int, Outcome]) -> dict[int, float]:
     }
 
 
-def _gaps(one: dict[int, float], other: dict[int, float]) -> dict[int, float]:
+def _differences(one: dict[int, float], other: dict[int, float]) -> dict[int, float]:
     return {seed: one[seed] - other[seed] for seed in one.keys() & other.keys()}
 
 
