@@ -70,6 +70,11 @@ class ParameterSpace:
     def feasible_low(self) -> Vector:
         return frozen([p.feasible_low for p in self.parameters])
 
+    @property
+    def scale(self) -> Vector:
+        """SI units per normalised coordinate, (d,)."""
+        return (self.high - self.low) / self.WIDTH
+
     def index(self, name: str) -> int:
         if name not in self.names:
             raise UnknownName("parameter", name, self.names)

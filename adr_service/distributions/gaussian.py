@@ -50,7 +50,7 @@ class Gaussian:
 
     @property
     def std(self) -> Vector:
-        return np.sqrt(np.diag(self.covariance)) * self._scale
+        return np.sqrt(np.diag(self.covariance)) * self.space.scale
 
     def sample(self, n: int, rng: np.random.Generator) -> Draws:
         raw = rng.multivariate_normal(self.location, self.covariance, n, method="eigh")
@@ -78,7 +78,7 @@ class Gaussian:
         else:
             density = _singular_log_prob(x, self.location, self.covariance)
         # p(value) = p(x) |dx / dvalue|
-        return density - np.sum(np.log(self._scale))
+        return density - np.sum(np.log(self.space.scale))
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -86,11 +86,6 @@ class Gaussian:
             "location": self.location.tolist(),
             "covariance": self.covariance.tolist(),
         }
-
-    @property
-    def _scale(self) -> Vector:
-        """SI units per normalised coordinate, (d,)."""
-        return (self.space.high - self.space.low) / self.space.WIDTH
 
 
 def _singular_log_prob(x: Matrix, mean: Vector, covariance: Any) -> Vector:

@@ -50,8 +50,7 @@ class Mixture:
     def std(self) -> Vector:
         spread = self.locations - self.weights @ self.locations  # of the components, (k, d)
         within = np.diagonal(self.covariances, axis1=1, axis2=2)  # (k, d)
-        unit = (self.space.high - self.space.low) / self.space.WIDTH
-        return np.sqrt(self.weights @ (within + spread**2)) * unit
+        return np.sqrt(self.weights @ (within + spread**2)) * self.space.scale
 
     def sample(self, n: int, rng: np.random.Generator) -> Draws:
         chosen = rng.choice(len(self.weights), n, p=self.weights)
