@@ -26,7 +26,6 @@ from ray.exceptions import ObjectStoreFullError, OutOfDiskError, RayError, RayTa
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled
 from adr_service.stages.base import AnyStage, StageResult
-from db.session import RETRY_S
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.demand import Demand
@@ -173,7 +172,7 @@ class Dispatcher:
         self._look_at_nodes()
 
     def _wait(self) -> None:
-        """Sleep a tick: until all that runs has ended, or until somebody asks if nothing runs."""
+        """Wait a tick at most, for all running calls to end or, without any, for another thread."""
         running = [job.ref for job in self._jobs.running()]
         if running and self._cluster.is_alive:
             ray.wait(running, num_returns=len(running), timeout=_TICK_S)
@@ -231,13 +230,12 @@ class Dispatcher:
         except (ObjectStoreFullError, OutOfDiskError) as error:  # which passes
             outages.warning("the stage could not be sent just now: %s", error, extra=job.ids)
             self._pool.give_back(actor)
-            job.not_before = time.monotonic() + RETRY_S
+            job.postpone()
         except RayError as error:
             log.warning("the stage could not be sent: %s", error, extra=job.ids)
             self._pool.give_back(actor)
-            job.lost_at = time.monotonic()
-            job.not_before = job.lost_at + RETRY_S
-            self._jobs.lose(job, str(error))
+            job.postpone()
+            self._jobs.lose(job, str(error), actor.core.node)
         except Exception as error:  # noqa: BLE001 - a method may hold what cannot be packed
             self._pool.give_back(actor)
             why = f"its inputs cannot be pickled for another process: {error.__cause__ or error}"
@@ -274,8 +272,7 @@ class Dispatcher:
         log.warning("stage lost: %s", error, extra=job.ids)
         self._pool.lose(actor)
         self._nodes_seen = 0.0  # its node may be gone as well
-        job.lost_on, job.lost_at = actor.core.node, time.monotonic()
-        self._jobs.lose(job, str(error))
+        self._jobs.lose(job, str(error), actor.core.node)
 
     def _listen(self) -> None:
         signs, checkpoints = self._heartbeats.news(self._jobs.unwanted())
@@ -290,10 +287,10 @@ class Dispatcher:
         for job in self._jobs.running():
             if job.actor is None or job.is_killed:
                 continue
-            silent = self._heartbeats.silence(max(job.heard, job.since))
+            silent = self._heartbeats.silence(max(job.heard_at, job.since))
             if silent > patience_s(job.sign, len(job.waiters)):
                 why = f"no sign of life for {silent:.0f} s"
-            elif job.unwanted is not None and self._goes_on_unwanted(job.unwanted):
+            elif job.unwanted_since is not None and self._goes_on_unwanted(job.unwanted_since):
                 why = f"no run has wanted its stage for {UNWANTED_S:.0f} s, and it computes on"
             else:
                 continue
@@ -302,9 +299,10 @@ class Dispatcher:
             ray.kill(job.actor.handle)
 
     def _goes_on_unwanted(self, since: float) -> bool:
-        """True if a stage that no run has wanted since a moment has had the time to stop.
+        """True if a stage that no run has wanted since `since` (monotonic) did not stop in time.
 
-        From the moment on that its process could know it, but no longer than a board may be silent.
+        It has `UNWANTED_S` up to the board's last answer, from which its process learns that, and
+        at most `UNWANTED_SILENT_S` more while the board is silent.
         """
         knows = self._heartbeats.silence(since) > UNWANTED_S
         return knows or time.monotonic() - since > UNWANTED_S + UNWANTED_SILENT_S

@@ -17,7 +17,6 @@ from concurrent.futures import Future
 from adr_service.errors import AdrError, FailureCode, StageFailed, target_failed
 from adr_service.progress import Checkpoint
 from adr_service.stages.base import PRIORITY, AnyStage, StageResult
-from db.session import RETRY_S
 from workers.actors import Ending, Failed, Finished, Stopped
 from workers.heartbeats import SignOfLife
 from workers.jobs import Activity, Job, Waiter, activity_of, ids_of
@@ -125,7 +124,7 @@ class JobTable:
         match attempted(trouble, ids, self._results.begin, beginnings):
             case Unavailable():
                 for job in jobs:
-                    job.not_before = time.monotonic() + RETRY_S
+                    job.postpone()
             case Refused(error) if len(jobs) == 1:
                 self._give_up(jobs[0], _not_stored(jobs[0].stage, error))
             case Refused():  # because of one of them
@@ -141,7 +140,7 @@ class JobTable:
         """Note a sign of life of the attempt that goes on; a lost process may have left one."""
         job = self._jobs.get(sign.digest)
         if job is not None and job.ref is not None and job.attempt == sign.attempt:
-            job.sign, job.heard = sign, time.monotonic()
+            job.sign, job.heard_at = sign, time.monotonic()
 
     def note(self, digest: str, checkpoint: Checkpoint) -> None:
         """Store a training's checkpoint, if a run waits for it; its result does not need that."""
@@ -167,9 +166,9 @@ class JobTable:
         for first in range(0, len(finished), AT_ONCE):
             self._deliver(finished[first : first + AT_ONCE])
 
-    def lose(self, job: Job, why: str) -> None:
-        """Count a lost process: the job waits for another attempt, or fails."""
-        job.losses += 1
+    def lose(self, job: Job, why: str, node: str | None = None) -> None:
+        """Count a lost process, on a node if that is known: the job waits again, or fails."""
+        job.lose(node)
         if not job.waiters:
             self._give_up(job)
         elif job.losses >= MAX_ATTEMPTS:

@@ -12,6 +12,7 @@ from typing import Any
 from adr_service.errors import AdrError
 from adr_service.json_values import Wire
 from adr_service.stages.base import PRIORITY, AnyStage, Role, StageResult
+from db.session import RETRY_S
 from workers.actors import Finished
 from workers.heartbeats import SignOfLife
 from workers.pool import Actor
@@ -43,14 +44,14 @@ class Job:
     actor: Actor | None = None  # the process that computes it
     since: float = field(default_factory=time.monotonic)  # start of the wait, or of the attempt
     sign: SignOfLife | None = None  # the last one of the attempt
-    heard: float = 0.0  # when that came
-    unwanted: float | None = None  # when the last run ceased to want it, if none does
+    heard_at: float = 0.0  # when that came
+    unwanted_since: float | None = None  # when the last run ceased to want it, if none does
     is_killed: bool = False  # the process of the attempt, because it was silent or did not stop
     finished: Finished | None = None  # a result that is not stored yet
     losses: int = 0  # attempts whose process was lost
     lost_on: str | None = None  # the node of the last one
     lost_at: float = 0.0
-    not_before: float = 0.0  # the database, or Ray's store, could not be used
+    not_before: float = 0.0  # a moment to which it is postponed
 
     @property
     def role(self) -> Role:
@@ -81,13 +82,13 @@ class Job:
     def add(self, waiter: Waiter) -> None:
         """Let one more run wait."""
         self.waiters.append(waiter)
-        self.unwanted = None
+        self.unwanted_since = None
 
     def withdraw(self, run_id: str) -> None:
         """Let a run wait no more."""
         self.waiters = [waiter for waiter in self.waiters if waiter.run_id != run_id]
         if not self.waiters:
-            self.unwanted = time.monotonic()
+            self.unwanted_since = time.monotonic()
 
     def place(self, actor: Actor, ref: Any) -> None:
         """Note that an actor computes the attempt, as the call `ref`."""
@@ -98,6 +99,15 @@ class Job:
         """Note that nobody computes it any more."""
         self.actor, self.ref, self.sign = None, None, None
         self.since = time.monotonic()
+
+    def postpone(self) -> None:
+        """Let it wait for `RETRY_S`, because the database, or Ray, cannot be used just now."""
+        self.not_before = time.monotonic() + RETRY_S
+
+    def lose(self, node: str | None) -> None:
+        """Count a process that was lost under it, on a node that it avoids for a while."""
+        self.losses += 1
+        self.lost_on, self.lost_at = node, time.monotonic()
 
     def fail(self, error: AdrError) -> None:
         """Raise an error in all runs that wait."""

@@ -57,7 +57,7 @@ def table():
 def at_once(monkeypatch):
     """Retry at once after the database could not be used."""
     monkeypatch.setattr(results, "RETRY_S", 0.0)
-    monkeypatch.setattr("workers.job_table.RETRY_S", 0.0)
+    monkeypatch.setattr("workers.jobs.RETRY_S", 0.0)
 
 
 def test_equal_stages_are_one_job_with_one_result(table):
@@ -131,10 +131,10 @@ def test_a_running_stage_is_unwanted_only_once_no_run_waits(table):
     job = table.start()
     table.jobs.withdraw("run_a")
     assert table.jobs.unwanted() == set()
-    assert job.unwanted is None
+    assert job.unwanted_since is None
     table.jobs.withdraw("run_b")
     assert table.jobs.unwanted() == {TRAINING.digest}
-    assert job.unwanted is not None
+    assert job.unwanted_since is not None
     table.end(job, Stopped())
     assert len(table.jobs) == 0
     assert table.store.dropped == [TRAINING.digest]
@@ -144,10 +144,10 @@ def test_a_stage_that_is_wanted_again_while_it_stops_gets_another_turn(table):
     table.ask(TRAINING, "run_a")
     job = table.start()
     table.jobs.withdraw("run_a")
-    assert job.unwanted is not None
+    assert job.unwanted_since is not None
     again = table.ask(TRAINING, "run_b")
     assert table.jobs.unwanted() == set()
-    assert job.unwanted is None
+    assert job.unwanted_since is None
     table.end(job, Stopped())
     table.finish(table.start())
     assert again.result(0) == RESULT
