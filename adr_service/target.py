@@ -20,7 +20,7 @@ from adr_service.stages.evaluate import Evaluate, TargetEvaluation
 from adr_service.stages.target_episode import RobotEpisode, TargetEpisode
 from adr_service.stages.target_return import EpisodeReturn, TargetReturn
 from adr_service.stages.target_rollout import Rollout, TargetRollout
-from adr_service.tasks.catalogue import get_task, identity_of
+from adr_service.tasks.catalogue import get_task, task_inputs
 from adr_service.transitions import TransitionDataset, dataset_id
 
 Evaluations = Generator[RunEvent, None, list[TargetEvaluation]]
@@ -112,7 +112,7 @@ class SimulatedDoor:
     def __init__(self, spec: RunSpec):
         self._spec = spec
         self._where: dict[str, Any] = {
-            **identity_of(spec.task),
+            **task_inputs(spec.task),
             "variant": spec.target_domain,
             "seed": spec.seed,
         }
@@ -132,11 +132,11 @@ class SimulatedDoor:
 
 
 class RobotsDoor:
-    """Visits to a target outside: each is an episode that a robot's client takes as a task."""
+    """Visits to an external target: each is an episode that a robot's client claims as a task."""
 
     def __init__(self, spec: RunSpec, run_id: str):
         self._spec, self._horizon = spec, get_task(spec.task).horizon
-        self._where: dict[str, Any] = {**identity_of(spec.task), "run": run_id, "seed": spec.seed}
+        self._where: dict[str, Any] = {**task_inputs(spec.task), "run": run_id, "seed": spec.seed}
 
     def rollout(
         self, policy: bytes | None, iteration: int, transitions: int
@@ -178,10 +178,10 @@ class RobotsDoor:
 
 
 def open_target(spec: RunSpec, stages: Stages) -> Target:
-    """The target that a spec names, simulated or outside."""
-    is_outside = isinstance(spec.target, ExternalTarget)
+    """The target that a spec names, simulated or external."""
+    is_external = isinstance(spec.target, ExternalTarget)
     return Target(
-        spec, stages, RobotsDoor(spec, stages.run_id) if is_outside else SimulatedDoor(spec)
+        spec, stages, RobotsDoor(spec, stages.run_id) if is_external else SimulatedDoor(spec)
     )
 
 

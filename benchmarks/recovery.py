@@ -41,7 +41,7 @@ from adr_service.benchmark.truth import estimation_error, log_score
 from adr_service.distributions import Gaussian, normalised_std
 from adr_service.json_values import sha256
 from adr_service.methods.base import OnlineSettings
-from adr_service.methods.catalogue import identity_of, methods, names_of
+from adr_service.methods.catalogue import method_inputs, methods, names_of
 from adr_service.programs.references import prior_training
 from adr_service.programs.steps import infer, problem_of, source_inputs
 from adr_service.specs import RunSpec
@@ -50,8 +50,7 @@ from adr_service.stages.infer import Infer
 from adr_service.stages.local import LocalStages, drained
 from adr_service.stages.smooth_states import SmoothStates
 from adr_service.stages.target_rollout import TargetRollout
-from adr_service.tasks.catalogue import identity_of as identity_of_task
-from adr_service.tasks.catalogue import variant_of
+from adr_service.tasks.catalogue import task_inputs, variant_of
 from adr_service.transitions import TransitionDataset
 from workers.cluster import worker_environment
 
@@ -172,7 +171,7 @@ def key_of(spec: RunSpec, training: AnyStage | None) -> str:
     if spec.method.replay_from == "smoothed":
         stages.append(SmoothStates(**source_inputs(spec), data=b""))
     for settings in spec.method.each:
-        stages.append(Infer(**source_inputs(spec), **identity_of(settings), data=b""))
+        stages.append(Infer(**source_inputs(spec), **method_inputs(settings), data=b""))
     return sha256("".join(stage.digest for stage in stages).encode())[:16]
 
 
@@ -203,7 +202,7 @@ def recorded(spec: RunSpec, policy: bytes | None) -> bytes:
 
 def rollout_of(spec: RunSpec, transitions: int, number: int, policy: bytes | None) -> TargetRollout:
     return TargetRollout(
-        **identity_of_task(spec.task),
+        **task_inputs(spec.task),
         variant=spec.target_domain,
         seed=spec.seed,
         transitions=transitions,

@@ -49,14 +49,14 @@ FILL = """
 import pickle, sys
 from dataclasses import replace
 
-from adr_service.tasks.catalogue import identity_of
+from adr_service.tasks.catalogue import task_inputs
 from db.session import open_database
 from tests.db.finished import finished_benchmark
 from tests.stages.examples import evaluation
 
 id = finished_benchmark(open_database({url!r}), tasks=["pendulum", "arm"], methods=["simopt"])
 with open({stage!r}, "wb") as file:
-    pickle.dump(replace(evaluation(task="pendulum"), **identity_of("pendulum")), file)
+    pickle.dump(replace(evaluation(task="pendulum"), **task_inputs("pendulum")), file)
 print(id)
 """
 # what a service of the next version answers

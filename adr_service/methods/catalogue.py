@@ -64,7 +64,7 @@ def check_installed(name: str) -> None:
         raise InvalidInput(f"{name} needs {extra}: pip install 'adr-service[{extra}]'")
 
 
-def identity_of(settings: MethodSettings) -> dict[str, Any]:
+def method_inputs(settings: MethodSettings) -> dict[str, Any]:
     """Inputs by which a stage knows a method: its settings, and the version of its package."""
     return {"method": settings, "method_package": package_of(METHODS, settings.name)}
 

@@ -8,7 +8,7 @@ from adr_service.json_values import sha256
 from adr_service.specs import CriticismSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.criticise import Criticise
-from adr_service.tasks.catalogue import identity_of
+from adr_service.tasks.catalogue import task_inputs
 
 
 def run(
@@ -16,7 +16,7 @@ def run(
 ) -> Generator[RunEvent, None, None]:
     if recording is None:
         raise InvalidInput(f"the data {spec.dataset} were not given")
-    where = identity_of(spec.task)
+    where = task_inputs(spec.task)
     stage = Criticise(**where, variant=spec.variant, seed=spec.seed, data=recording)
     criticism = yield from stages.run(stage)
     files = {name: sha256(content) for name, content in criticism.files.items()}

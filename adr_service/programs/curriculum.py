@@ -11,7 +11,7 @@ from typing import cast
 from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.events import RunEvent
 from adr_service.methods.base import CurriculumSettings
-from adr_service.methods.catalogue import identity_of
+from adr_service.methods.catalogue import method_inputs
 from adr_service.programs.steps import evaluate_and_report, problem_of, training
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
@@ -30,7 +30,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
 def curriculum_training(spec: RunSpec) -> TrainPolicy:
     """The training with a run's curriculum, whose policy is judged on the whole search box."""
     space = problem_of(spec).source.space
-    known = identity_of(spec.method)
+    known = method_inputs(spec.method)
     return replace(
         training(spec, Uniform(space, space.low, space.high)),
         curriculum=cast(CurriculumSettings, known["method"]),

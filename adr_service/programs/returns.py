@@ -1,7 +1,7 @@
 """Methods that learn from returns: those of UDR's policies, then of one more per iteration.
 
-An iteration's cost is that of the proposal after its returns. The proposal that chose the first
-policy beyond UDR's is in no iteration's.
+An iteration reports the cost of the proposal made after its returns. The first proposal, made from
+the returns of UDR's policies alone, is reported in no iteration.
 """
 
 from collections.abc import Generator, Sequence
@@ -11,7 +11,7 @@ from typing import cast
 from adr_service.distributions import Distribution
 from adr_service.events import RunEvent
 from adr_service.methods.base import ReturnsSettings
-from adr_service.methods.catalogue import identity_of
+from adr_service.methods.catalogue import method_inputs
 from adr_service.methods.udr import UdrSettings
 from adr_service.programs.steps import Inference, evaluate_and_report, source_inputs, training
 from adr_service.programs.udr import boxes_of
@@ -50,7 +50,7 @@ def _propose(
     stage = Propose(
         **source_inputs(spec),
         method=spec.method.model_dump(exclude={"report"}),  # which changes no proposal
-        method_package=identity_of(spec.method)["method_package"],
+        method_package=method_inputs(spec.method)["method_package"],
         distributions=list(tried),
         returns=list(returns),
     )

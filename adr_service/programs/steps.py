@@ -9,7 +9,7 @@ from adr_service.errors import InvalidInput
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.json_values import sha256
 from adr_service.methods.base import Problem
-from adr_service.methods.catalogue import identity_of as identity_of_method
+from adr_service.methods.catalogue import method_inputs
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.infer import Infer, Inferred
@@ -17,7 +17,7 @@ from adr_service.stages.propose import Proposed
 from adr_service.stages.smooth_states import SmoothStates
 from adr_service.stages.train_policy import TrainedPolicy, TrainPolicy
 from adr_service.target import Recording, Target, Visit
-from adr_service.tasks.catalogue import get_task, identity_of, source_of
+from adr_service.tasks.catalogue import get_task, source_of, task_inputs
 from adr_service.transitions import TransitionDataset
 
 Answer = TypeVar("Answer", Inferred, Proposed)
@@ -39,7 +39,7 @@ def problem_of(spec: RunSpec) -> Problem:
 
 def source_inputs(spec: RunSpec) -> dict[str, Any]:
     """The inputs of every stage that simulates the source."""
-    return {**identity_of(spec.task), "variant": spec.source_domain, "seed": spec.seed}
+    return {**task_inputs(spec.task), "variant": spec.source_domain, "seed": spec.seed}
 
 
 def training(
@@ -76,6 +76,7 @@ def infer(
     the visits before (`stages.infer.packed`).
     """
     if spec.method.replay_from == "smoothed":
+        assert policy is state is earlier is None, "only offline methods learn from smoothed states"
         return (yield from _infer_from_smoothed(spec, stages, data))
     return (yield from _infer(spec, stages, data, policy, state, earlier))
 
@@ -109,7 +110,7 @@ def _infer(
     asked = [
         Infer(
             **source_inputs(spec),
-            **identity_of_method(settings),
+            **method_inputs(settings),
             data=data,
             policy=policy,
             state=state,

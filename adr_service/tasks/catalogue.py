@@ -125,7 +125,7 @@ def hidden_of(task: str, domain: str) -> Hidden:
     return replace(hidden, source=replace(hidden.source, effects=effects))
 
 
-def identity_of(task: str) -> Mapping[str, str]:
+def task_inputs(task: str) -> Mapping[str, str]:
     """A task's name, and its package with the version if it is not ours, for a stage's inputs.
 
     A change of one of our own tasks bumps the versions of the stage kinds instead.

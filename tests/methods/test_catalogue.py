@@ -7,7 +7,7 @@ from adr_service.errors import InvalidInput
 from adr_service.methods.catalogue import (
     AnyMethod,
     check_installed,
-    identity_of,
+    method_inputs,
     methods,
     name_of,
     names_of,
@@ -55,7 +55,7 @@ def test_an_unknown_method_is_refused_with_a_list():
 
 
 def test_stages_know_our_methods_by_their_settings_alone():
-    assert identity_of(SimOptSettings()) == {"method": SimOptSettings(), "method_package": None}
+    assert method_inputs(SimOptSettings()) == {"method": SimOptSettings(), "method_package": None}
 
 
 ADD = """

@@ -9,8 +9,8 @@ from adr_service.tasks.catalogue import (
     catalogue,
     get_task,
     hidden_of,
-    identity_of,
     source_of,
+    task_inputs,
     variant_of,
 )
 from tests.packages import python
@@ -76,11 +76,11 @@ adr_service.tasks.__path__.append(FOLDER)
 from adr_service.stages.local import LocalStages
 from adr_service.programs import run
 from adr_service.specs import RunSpec
-from adr_service.tasks.catalogue import BUILT_IN, identity_of
+from adr_service.tasks.catalogue import BUILT_IN, task_inputs
 from adr_service.tasks.check import check_task
 
 assert list(BUILT_IN) == ["cart", "arm", "hopper", "half_cheetah", "walker2d", "humanoid"]
-assert identity_of("cart") == {"task": "cart"}
+assert task_inputs("cart") == {"task": "cart"}
 check_task(BUILT_IN["cart"])
 spec = {"task": "cart", "method": {"name": "simopt", "samples": 10}, "preset": "smoke"}
 events = list(run(RunSpec.model_validate(spec), LocalStages()))
@@ -127,4 +127,4 @@ def test_the_effects_of_a_domain_are_added_to_source_and_truth():
 
 
 def test_a_task_of_ours_is_identified_by_its_name_alone():
-    assert identity_of("hopper") == {"task": "hopper"}
+    assert task_inputs("hopper") == {"task": "hopper"}
