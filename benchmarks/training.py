@@ -140,7 +140,7 @@ def ours(backend: str, meter: Meter, steps: int) -> None:
         meter(facts["steps"])
 
     prior = Gaussian.prior(source.space)
-    train(get_task("hopper"), source, prior, spec.training, rng, progress)
+    train(get_task("hopper"), source, prior, spec.training, rng, progress=progress)
 
 
 def measure(subject: str, steps: int) -> dict[str, float]:

@@ -69,10 +69,12 @@ class TrainPolicy(Stage[TrainedPolicy]):
             self.distribution,
             self.training,
             rng,
-            progress,
-            self._checkpoint,
-            None if self.start is None else networks.from_bytes(self.start),
-            None if self.curriculum is None else self.curriculum.create(Problem(task, source)),
+            progress=progress,
+            keep=self._checkpoint,
+            start=None if self.start is None else networks.from_bytes(self.start),
+            curriculum=(
+                None if self.curriculum is None else self.curriculum.create(Problem(task, source))
+            ),
         )
         return TrainedPolicy(
             policy=training.policy.to_bytes(),

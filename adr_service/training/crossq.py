@@ -1,7 +1,7 @@
 """CrossQ (Bhatt et al., arXiv 1902.05605), by SB3-Contrib and by SBX.
 
-Batch renormalisation stands before every layer. An actor that acts uses its running statistics,
-so that the renormalisation is part of the layer behind it, in which the exported policy has it.
+Batch renormalisation precedes every layer. An acting policy uses its running statistics, which make
+it linear, so the exported policy has each renormalisation folded into the layer that follows.
 """
 
 from collections.abc import Mapping, Sequence

@@ -31,7 +31,7 @@ class Curriculum(Protocol):
         ...
 
     def sample(self, n: int, rng: np.random.Generator) -> Draws:
-        """The dynamics of n episodes."""
+        """The dynamics of n episodes, (n, d) in SI units."""
         ...
 
     def move(self, dynamics: Matrix, returns: Vector) -> None:

@@ -14,8 +14,8 @@ from adr_service.training.settings import TrainingSettings
 class Judge:
     """Keeps the learning curve, and the best policy with the evaluation that it is reported by.
 
-    The best of many evaluations is better than its policy: the maximum flatters. So where the
-    settings ask for it, the best policy is evaluated again on fresh draws, and known by that.
+    The best of many noisy evaluations overestimates its policy. So if the settings ask for it, the
+    best policy is evaluated again on fresh draws, and that evaluation is reported.
     """
 
     def __init__(

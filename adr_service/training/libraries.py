@@ -27,7 +27,7 @@ class Library(Protocol):
         """The networks and statistics from which another training can continue."""
         ...
 
-    def start(self, model: Any, networks: Networks) -> None:
+    def load(self, model: Any, networks: Networks) -> None:
         """Put networks in the place of a model's first ones; they are of the same settings."""
         ...
 

@@ -31,10 +31,10 @@ class OffPolicyTorch:
         temperature = model.log_ent_coef.detach().numpy().copy()
         return {"temperature": temperature, **torch_networks(model.policy)}
 
-    def start(self, model: Any, networks: Networks) -> None:
+    def load(self, model: Any, networks: Networks) -> None:
         import torch
 
-        start_torch(model.policy, networks)
+        load_torch(model.policy, networks)
         with torch.no_grad():
             model.log_ent_coef.copy_(torch.as_tensor(networks["temperature"]))
 
@@ -49,11 +49,11 @@ class OffPolicyFlax:
             critics=policy.qf_state, actor=policy.actor_state, temperature=model.ent_coef_state
         )
 
-    def start(self, model: Any, networks: Networks) -> None:
+    def load(self, model: Any, networks: Networks) -> None:
         policy = model.policy
-        policy.qf_state = started_flax("critics", policy.qf_state, networks)
-        policy.actor_state = started_flax("actor", policy.actor_state, networks)
-        model.ent_coef_state = started_flax("temperature", model.ent_coef_state, networks)
+        policy.qf_state = restored_flax("critics", policy.qf_state, networks)
+        policy.actor_state = restored_flax("actor", policy.actor_state, networks)
+        model.ent_coef_state = restored_flax("temperature", model.ent_coef_state, networks)
         model.adopt()
 
 
@@ -62,7 +62,7 @@ def torch_networks(policy: Any) -> Networks:
     return {name: tensor.numpy().copy() for name, tensor in policy.state_dict().items()}
 
 
-def start_torch(policy: Any, networks: Networks) -> None:
+def load_torch(policy: Any, networks: Networks) -> None:
     """Copy networks to a PyTorch policy."""
     import torch
 
@@ -81,8 +81,8 @@ def flax_networks(**states: Any) -> Networks:
     }
 
 
-def started_flax(name: str, state: Any, networks: Networks) -> Any:
-    """A state with the arrays that `flax_networks` has kept under its name."""
+def restored_flax(name: str, state: Any, networks: Networks) -> Any:
+    """A Flax state with the arrays that `flax_networks` stored under its name."""
     import jax
 
     changed: dict[str, Any] = {}
@@ -102,7 +102,7 @@ def moments(**statistics: RunningMeanStd) -> Networks:
     }
 
 
-def start_moments(networks: Mapping[str, np.ndarray], **statistics: RunningMeanStd) -> None:
+def load_moments(networks: Mapping[str, np.ndarray], **statistics: RunningMeanStd) -> None:
     """Put what `moments` has kept in the place of running statistics."""
     for name, running in statistics.items():
         running.mean, running.var = networks[f"{name}.mean"], networks[f"{name}.var"]

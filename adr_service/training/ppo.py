@@ -32,10 +32,10 @@ from adr_service.training.libraries import (
 from adr_service.training.networks import (
     Networks,
     flax_networks,
+    load_moments,
+    load_torch,
     moments,
-    start_moments,
-    start_torch,
-    started_flax,
+    restored_flax,
     torch_networks,
 )
 from adr_service.training.policy import Policy, Squash
@@ -134,9 +134,9 @@ class _Sb3:
     def networks(self, model: Any) -> Networks:
         return torch_networks(model.policy) | moments(**self._statistics(model))
 
-    def start(self, model: Any, networks: Networks) -> None:
-        start_torch(model.policy, networks)
-        start_moments(networks, **self._statistics(model))
+    def load(self, model: Any, networks: Networks) -> None:
+        load_torch(model.policy, networks)
+        load_moments(networks, **self._statistics(model))
 
     def _statistics(self, model: Any) -> dict[str, RunningMeanStd]:
         normal = model.get_vec_normalize_env()
@@ -168,11 +168,11 @@ class _Sbx:
         kept = flax_networks(actor=policy.actor_state, critic=policy.vf_state)
         return kept | moments(**model.statistics)
 
-    def start(self, model: Any, networks: Networks) -> None:
+    def load(self, model: Any, networks: Networks) -> None:
         policy = model.policy
-        policy.actor_state = started_flax("actor", policy.actor_state, networks)
-        policy.vf_state = started_flax("critic", policy.vf_state, networks)
-        start_moments(networks, **model.statistics)
+        policy.actor_state = restored_flax("actor", policy.actor_state, networks)
+        policy.vf_state = restored_flax("critic", policy.vf_state, networks)
+        load_moments(networks, **model.statistics)
 
 
 LIBRARIES: Mapping[str, Library] = {"sbx": _Sbx(), "sb3": _Sb3()}

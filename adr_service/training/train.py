@@ -63,6 +63,7 @@ def train(
     distribution: Distribution,
     settings: TrainingSettings,
     rng: np.random.Generator,
+    *,
     progress: Progress = silent,
     keep: Keep | None = None,
     start: Networks | None = None,
@@ -84,7 +85,7 @@ def train(
     library = LIBRARIES[settings.algorithm][settings.backend]
     model = library.build(env, task, settings, integer_seed(seed_rng))
     if start is not None:
-        library.start(model, start)
+        library.load(model, start)
     judge = Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(library, judge, settings, progress, keep)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder per training

@@ -100,7 +100,7 @@ STOPPED = [("sac", "sb3"), ("crossq", "sb3"), ("ppo", "sb3"), pytest.param("ppo"
 
 def trained(algorithm, backend, progress=lambda fraction, **facts: None, task=ARM, **others):
     given = settings(algorithm, backend, **others)
-    return train(task, VANILLA.source, PRIOR, given, stream("test", 1), progress)
+    return train(task, VANILLA.source, PRIOR, given, stream("test", 1), progress=progress)
 
 
 @pytest.mark.parametrize(("algorithm", "backend"), CASES)
@@ -162,7 +162,7 @@ class TestTrain:
             models.append(library.build(env, ARM, given, seed))
         models[0].learn(480)
         left = from_bytes(to_bytes(library.networks(models[0])))
-        library.start(models[1], left)
+        library.load(models[1], left)
         for found, expected in zip(*(learned(model) for model in models[::-1]), strict=True):
             np.testing.assert_array_equal(found, expected)
         first, second = (library.policy(model, ARM, given).to_bytes() for model in models)
