@@ -100,7 +100,7 @@ class TransitionDataset:
         return 1 + int(np.count_nonzero(np.diff(self.episodes)))
 
     def windows(self, length: int) -> Indices:
-        """First rows of consecutive, non-overlapping windows that stay inside an episode."""
+        """First rows (k,) of consecutive, disjoint windows of `length` rows, each of one episode."""
         starts = [
             row
             for first, last in spans(self.episodes)

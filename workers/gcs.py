@@ -40,11 +40,11 @@ class OwnGcs:
         self.is_alive = True  # or will be in a moment
 
     def start(self) -> None:
-        """Begin to look; before `ray.init`, which a dead GCS would hold up."""
+        """Start watching. Call it before `ray.init`, which a dead GCS would block."""
         self._thread.start()
 
     def leave_alone(self) -> None:
-        """Stop to look, before `ray.shutdown`, which ends the GCS that it knows."""
+        """Stop watching. Call it before `ray.shutdown`, which ends the GCS that Ray started."""
         self._stopping.set()
         self._left.wait()
 
@@ -145,7 +145,7 @@ def _started(command: Sequence[str]) -> psutil.Popen:
 
 
 def _at_its_port(command: Sequence[str]) -> list[str]:
-    """A command that starts the GCS where everybody knows it, if it got as far as having a port."""
+    """The command that starts the GCS again at its old port, or at any port if it had none yet."""
     given = dict(argument.removeprefix("--").split("=", 1) for argument in command[1:])
     file = Path(given["session-dir"]) / f"gcs_server_port_{given['node-id']}"
     port = (file.exists() and file.read_text()) or "0"

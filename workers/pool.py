@@ -88,10 +88,10 @@ class Pool:
     ) -> Actor | None:
         """An actor for a stage, warm if possible; None if all cores are busy, or `max_cores`.
 
-        Not on the node `avoid` if there are others; rather on a node that is at work, so that
-        others become idle and can be released. A new actor is named after its first run.
-        Others than those that were started after `newer_than` (monotonic) count as dead: where a
-        stage has lost its process, they may have died while they were idle.
+        Avoids the node `avoid` if there are others, and prefers nodes at work, so that the rest
+        become idle and can be released. A new actor is named after its first run. Actors started
+        before `newer_than` (monotonic) count as dead: when a stage lost its process, idle actors
+        may have died as well.
         """
         others = {core.node for core in self._cores} - {avoid}
         busy = Counter(core.node for core in self._cores if core.busy is not None)

@@ -5,11 +5,11 @@
 
 The mean is over cells, with Student's interval over seeds: policies that fail count in full. All
 else is after Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a
-bootstrap that draws seeds within each cell. A cell is a task's variant. Policies that were trained
-for one variant and evaluated on others as well are drawn alike in all of these. Only cells that all
-methods have count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that
-has learned nothing yet has the prior's policy there, and no cell. One that lacks a cell that most
-others have is left out, so that one which has just begun does not empty the tables.
+bootstrap that draws seeds within each cell. A cell is a task's variant. Policies that were
+evaluated on several variants get the same draws in each. Cells are compared after the iteration of
+`final_outcomes`, with SimOpt's data, and count only if all methods have them. A method that learns
+from target data has no cell at iteration 0. A method that lacks a cell which most methods have is
+left out, so that one which has just begun does not empty the tables.
 """
 
 from collections import Counter

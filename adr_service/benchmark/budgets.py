@@ -64,8 +64,10 @@ def _collection(spec: RunSpec) -> dict[str, object]:
 
 
 def _changes_of(spec: RunSpec, facts: _Facts) -> dict[str, object]:
-    """The facts of a run that are not the preset's: these differ between tasks. All of them where
-    the preset itself is not possible, as with more transitions than an episode has."""
+    """The facts of a run that differ from its preset's, which depend on the task.
+
+    All facts, if the preset itself is invalid, as with more transitions than an episode has.
+    """
     try:
         usual = facts(_usual(spec.task, spec.preset, spec.method.name, spec.collector))
     except ValidationError:

@@ -73,9 +73,9 @@ class Row:
     seeds: int
     policies: int
     episodes: int
-    target_rollouts: int  # of the seed with most, for the method to learn from
+    target_rollouts: int  # target episodes that the method used, in the seed with most
     target_transitions: float  # per seed, mean
-    target_returns: int  # per seed, of full episodes, where the method saw these and no transitions
+    target_returns: int  # full episodes of a method that sees returns alone; 0 for all others
     inference_steps: float  # per seed, mean; control steps simulated by the iteration's inference
     estimation_error: float | None  # RMS distance of the mean from the truth in [0, 4], if known
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
@@ -220,36 +220,36 @@ def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
     """The iteration of `last_shared`, without the runs that have failed, unless all that learn
     have."""
     specs = {name: found[0].spec for name, found in columns.items()}
-    level = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
+    without_data = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
     counted = {
-        name: [o for o in found if name in level or not o.has_failed]
+        name: [o for o in found if name in without_data or not o.has_failed]
         for name, found in columns.items()
     }
-    if not any(found for name, found in counted.items() if name not in level):
+    if not any(found for name, found in counted.items() if name not in without_data):
         counted = columns
     seeds = {
         name: Counter(outcome.iteration.iteration for outcome in found)
         for name, found in counted.items()
         if found
     }
-    return last_shared(seeds, level, max(spec.iterations for spec in specs.values()))
+    return last_shared(seeds, without_data, max(spec.iterations for spec in specs.values()))
 
 
 def last_shared(
-    seeds: Mapping[str, Mapping[int, int]], level: Collection[str], planned: int
+    seeds: Mapping[str, Mapping[int, int]], without_data: Collection[str], planned: int
 ) -> dict[str, int]:
-    """The iteration after which each column is compared. Without the columns that are not.
+    """The iteration after which each column is compared; columns not compared are absent.
 
-    That is the last one planned, once two columns (or the only one) have it for all their seeds, or
-    for as many as an interval takes: to those the others come as they finish. Before, it is the
-    last that all seeds of all columns have, so that a benchmark which is not finished compares what
-    learned from equal amounts of data.
+    Once two learning columns (or the only one) have the planned iteration for all their seeds, or
+    for as many as an interval needs, they are compared after it, and others join as they finish.
+    Before that, columns are compared after the last iteration that all their seeds have, so that
+    an unfinished benchmark compares equal amounts of data.
 
-    `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
-    known. `level`: the columns without iterations, which are compared as they are.
+    `seeds`: by column, the number of seeds that have each iteration; seeds without any do not
+    count. `without_data`: the columns of methods that learn from no target data.
     """
-    compared = {column: max(seeds[column]) for column in seeds if column in level}
-    learning = {column: counts for column, counts in seeds.items() if column not in level}
+    compared = {column: max(seeds[column]) for column in seeds if column in without_data}
+    learning = {column: counts for column, counts in seeds.items() if column not in without_data}
     finished = [
         column
         for column, counts in learning.items()
@@ -399,7 +399,7 @@ def _error(outcome: Outcome) -> float | None:
 def _scored(
     outcome: Outcome, score: Callable[[str, str, Distribution], float | None]
 ) -> float | None:
-    """A score of a method's belief at the hidden truth; None where there is no such."""
+    """A score of a method's belief at the hidden truth; None without a belief or a known truth."""
     spec = outcome.spec
     if not _is_belief(outcome) or not isinstance(spec.target, SimulatedTarget):
         return None

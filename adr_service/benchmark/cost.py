@@ -3,9 +3,9 @@
     used = utilisation(executions)
     used.useful          # 0.93: CPU seconds of computing per core second that could be had
 
-The window holds the moments when at least as many stages were asked for and not finished as there
-were cores: only then could all cores have been busy. Nodes may come and go: the cores of a moment
-are those that the cluster had when the stage before was placed.
+The window is the time in which the unfinished stages were at least as many as the cores: only then
+could all cores have been busy. Nodes may come and go, so the number of cores at a moment is the one
+that the last placed stage has noted.
 """
 
 from collections.abc import Sequence
@@ -62,18 +62,15 @@ class Execution:
 
 
 class Utilisation(Wire):
-    """Core seconds of a window by their use; the uses add up to all that could be had.
-
-    See the glossary.
-    """
+    """Core seconds of a window by their use (`USES`), which add up to all that could be had."""
 
     cores: int  # most at a time
     seconds: float  # of the window
-    computing: float  # CPU seconds of stages
-    starting: float  # of processes
-    preparing: float  # imports and compilations inside of stages
-    waiting: float  # within a stage, without a CPU: other processes had it, or the disk
-    orchestration: float  # a core was free, or its stage was on the way to it
+    computing: float
+    starting: float
+    preparing: float
+    waiting: float
+    orchestration: float
 
     @computed_field
     @property
@@ -86,8 +83,7 @@ class Utilisation(Wire):
     @property
     def overhead(self) -> float:
         """Share of all core seconds that went to orchestration."""
-        uses = (self.computing, self.starting, self.preparing, self.waiting, self.orchestration)
-        return self.orchestration / sum(uses)
+        return self.orchestration / sum(getattr(self, use) for use in USES)
 
 
 def utilisation(executions: Sequence[Execution]) -> Utilisation | None:

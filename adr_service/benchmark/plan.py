@@ -99,21 +99,21 @@ def plan(
 
 
 @dataclass(frozen=True)
-class _Ask:
-    """A program's wish for results, yielded in the place of an event."""
+class _Request:
+    """A program's request for results, yielded in place of an event."""
 
     stages: Sequence[Stage[Any]]
 
 
 class _PricedStages:
-    """Stages of a plan: the schedule gets each wish, and sends the results."""
+    """Stages of a plan: the schedule gets each request, and sends the results."""
 
     def __init__(self, run_id: str):
         self.run_id = run_id
 
     def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
-        # a wish is no event, and is sent its answer: the schedule alone iterates such a program
-        return cast(list[R], (yield cast(RunEvent, _Ask(stages))))
+        # a request is no event, and is sent its answer: the schedule alone iterates such a program
+        return cast(list[R], (yield cast(RunEvent, _Request(stages))))
 
     def run(self, stage: Stage[R]) -> Generator[RunEvent, None, R]:
         return (yield from self.all([stage]))[0]
@@ -127,14 +127,14 @@ class _Planned:
     program: Program
 
     def send(self, answers: list[Result] | None) -> Any:
-        """The program's next event or wish; None at its end.
+        """The program's next event or request; None at its end.
 
-        Raises InvalidInput where it breaks, as a method of one's own may, also by a wish that is no
+        Raises InvalidInput where it breaks, as a user's method may, also by a request that is no
         JSON.
         """
         try:
             event: Any = self.program.send(cast(None, answers))
-            if isinstance(event, _Ask):
+            if isinstance(event, _Request):
                 _ = [stage.digest for stage in event.stages]
             return event
         except StopIteration:
@@ -160,7 +160,7 @@ class _Job:
 
 @dataclass(eq=False)
 class _Waiting:
-    """A program that goes on when all stages of its wish are done."""
+    """A program that goes on when all stages of its request are done."""
 
     run: _Planned
     jobs: list[_Job]
@@ -204,10 +204,10 @@ class _Schedule:
         return self._now
 
     def _go_on(self, planned: _Planned, answers: list[Result] | None) -> None:
-        """Iterate a program to its next wish that has to wait, or to its end."""
+        """Iterate a program to its next request that has to wait, or to its end."""
         while (event := planned.send(answers)) is not None:
             answers = None
-            if isinstance(event, _Ask):
+            if isinstance(event, _Request):
                 jobs = [self._job(stage) for stage in event.stages]
                 if not all(job.is_done for job in jobs):
                     self._wait(planned, jobs)

@@ -28,8 +28,9 @@ _COLLECTOR_LABELS = {
 _MOST_NAMED = 8  # parameters in a legend
 _MOST_WITH_INTERVALS = 6  # methods with an interval at each iteration, or with a band
 _SIDES = ("low", "high")  # of an interval
-_SHIFT = 0.12  # iterations between the points of two methods, at most
-_BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all in any
+# most iterations between the points of two methods, in figures of parameters and of returns
+_PARAMETERS_SPACING, _RETURNS_SPACING = 0.12, 0.06
+_WIDTH = 0.6  # iterations over which all points of one iteration may spread
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
     "inference_seconds": "CPU seconds",
@@ -153,16 +154,16 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
 def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> None:
     last = max(row.iteration for row in rows)
     groups = {name: [row for row in rows if row.method == name] for name in _names(rows)}
-    levels = [name for name in groups if methods()[name].learns_from == "nothing"]
-    for method in levels:
+    without_data = [name for name in groups if methods()[name].learns_from == "nothing"]
+    for method in without_data:
         row, label = groups[method][0], _label(method)
         x = [0.0, max(last, 1)]
         axis.plot(x, [row.normalised_return] * 2, "--", color=_colour(method), label=label)
         if with_intervals and row.low is not None and row.high is not None:
             axis.fill_between(x, row.low, row.high, color=_colour(method), alpha=0.12, linewidth=0)
-    moving = {name: chosen for name, chosen in groups.items() if name not in levels}
+    moving = {name: chosen for name, chosen in groups.items() if name not in without_data}
     for shift, (method, chosen) in zip(_shifts(len(moving)), moving.items(), strict=True):
-        # not trajectories, as the axis says
+        # the axis counts trajectories, but these methods see full episodes
         by_returns = methods()[method].learns_from == "returns"
         label = _label(method) + (" (full episodes)" if by_returns else "")
         x = [row.iteration + shift for row in chosen]
@@ -174,8 +175,11 @@ def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> 
 
 
 def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    """Each method's mean and interval after the last iteration of enough seeds for an interval, or
-    of as many as it has, with its number where others have more."""
+    """Each method's mean and interval after its last iteration with enough seeds for an interval.
+
+    A method with fewer seeds is shown after the last iteration that has as many of them as any.
+    The label names the iteration where another method has a later one.
+    """
     names = _names(rows)
     most = max((row.iteration for row in rows), default=0)
     labels: list[str] = []
@@ -187,8 +191,8 @@ def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
         last = max(counted, key=lambda row: row.iteration)
         axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
         _bars(axis, [x], [last], _colour(method))
-        is_level = methods()[method].learns_from == "nothing"
-        is_behind = last.iteration < most and not is_level
+        is_without_data = methods()[method].learns_from == "nothing"
+        is_behind = last.iteration < most and not is_without_data
         labels.append(_label(method) + (f" (after {last.iteration})" if is_behind else ""))
     axis.axhline(1.0, color="black", linewidth=0.5)
     axis.set_xticks(range(len(names)), labels, rotation=90, fontsize=7)
@@ -210,11 +214,11 @@ def _parameter_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> None
     if estimates[0].truth is not None:
         axis.axhline(estimates[0].truth, color="black", linewidth=0.8, label="truth")
     series = dict.fromkeys((e.method, e.collector) for e in estimates)
-    beside = min(_SHIFT, _WIDTH / len(series))
+    spacing = min(_PARAMETERS_SPACING, _WIDTH / len(series))
     for number, (method, collector) in enumerate(series):
         chosen = [e for e in estimates if (e.method, e.collector) == (method, collector)]
         axis.errorbar(
-            np.array([e.iteration + beside * number for e in chosen]),
+            np.array([e.iteration + spacing * number for e in chosen]),
             [e.mean for e in chosen],
             [e.std for e in chosen],
             fmt="o" if collector == "simopt" else "s",
@@ -267,8 +271,8 @@ def _names(rows: Sequence[Row]) -> list[str]:
 
 def _shifts(count: int) -> list[float]:
     """Distances of methods' points from an iteration, so that no interval hides another."""
-    beside = min(_BESIDE, _WIDTH / max(count, 1))
-    return [beside * (number - (count - 1) / 2) for number in range(count)]
+    spacing = min(_RETURNS_SPACING, _WIDTH / max(count, 1))
+    return [spacing * (number - (count - 1) / 2) for number in range(count)]
 
 
 def _line(axis: Axes, x: Sequence[float], rows: Sequence[Row], colour: str, label: str) -> None:

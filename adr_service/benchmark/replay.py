@@ -30,7 +30,7 @@ class Replay:
     broken: str = ""  # the error that ended it, as that of a method of one's own may
 
     def disagreements(self, stored: Mapping[str, RunEvent]) -> list[str]:
-        """Keys of stored events of the program, by key, that are not what the results lead to."""
+        """Keys of the stored events that differ from those which the results lead to."""
         differ = [
             key
             for key, event in _fixed(stored).items()
@@ -85,8 +85,8 @@ def replay_run(run_id: str, spec: RunSpec, find: Callable[[str], StageResult | N
     except ResultBroken as error:
         raise InvalidInput(f"{run_id} cannot use a stored result: {error}") from error
     except Exception as error:  # noqa: BLE001 - methods, and results of strangers, break in any way
-        asked = stages.asked[-1].kind if stages.asked else "its first stage"
-        broken = f"the program of {run_id} cannot use its stored results, after {asked}: {error}"
+        where = f"after {stages.asked[-1].kind}" if stages.asked else "before its first stage"
+        broken = f"the program of {run_id} cannot use its stored results, {where}: {error}"
     return Replay(events, stages.asked, is_complete, broken)
 
 

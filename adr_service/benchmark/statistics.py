@@ -25,8 +25,8 @@ from adr_service.errors import InvalidInput
 
 _RESAMPLES = 2000
 _LEVEL = 0.95
-FEWEST_SEEDS = 3  # that have an interval
-_FEWEST_RANKED = 5  # of each method, that have one for the probability of improvement
+FEWEST_SEEDS = 3  # for an interval
+_FEWEST_RANKED = 5  # seeds of each method, for an interval of the probability of improvement
 _CHUNK = 1_000_000  # returns drawn at once
 
 
@@ -91,13 +91,14 @@ def stratified_intervals(
 ) -> list[Interval]:
     """Several aggregates over all cells' policies, from the same resamples.
 
-    Each cell's seeds are resampled by themselves, or as those of another cell with equal
-    `policies`, if these are given, one for each cell.
+    `cells`: of each cell, the returns of each seed, (policies, episodes). A cell's seeds are
+    resampled by themselves, or as those of another cell with equal `policies`, if these are given,
+    one for each cell.
     """
     resampled = np.hstack(_resampled_cells(cells, rng, policies))
     means = np.concatenate([_policy_means(seeds) for seeds in cells])
-    has_one = min(map(len, cells)) >= fewest
-    return [_percentile_interval(float(a(means)), a(resampled), has_one) for a in aggregates]
+    has_interval = min(map(len, cells)) >= fewest
+    return [_percentile_interval(float(a(means)), a(resampled), has_interval) for a in aggregates]
 
 
 def improvement(
@@ -108,9 +109,11 @@ def improvement(
 ) -> Interval:
     """The probability that a policy of `one` earns more than one of `other`, ties counted half.
 
-    Fewer than five seeds of either have no interval: with three, policies of equal methods are all
-    on one side in a tenth of cases, and the bootstrap then knows no other. Both are resampled alike
-    if the `policies` of both are given and equal.
+    There is no interval if either has fewer than five seeds: of two equal methods with three, one
+    wins all pairs in a tenth of cases, and the bootstrap then shows no spread. Both get the same
+    draws if their `policies` are given and equal.
+
+    `one`, `other`: returns of each seed, (policies, episodes).
     """
 
     def wins(a: Matrix, b: Matrix) -> Vector:
@@ -122,8 +125,8 @@ def improvement(
 
     means = [_policy_means(seeds) for seeds in (one, other)]
     resampled = _resampled_cells([one, other], rng, policies)
-    has_one = min(len(one), len(other)) >= _FEWEST_RANKED
-    return _percentile_interval(float(wins(*means)), wins(*resampled), has_one)
+    has_interval = min(len(one), len(other)) >= _FEWEST_RANKED
+    return _percentile_interval(float(wins(*means)), wins(*resampled), has_interval)
 
 
 def _policy_means(seeds: Sequence[Matrix]) -> Vector:
@@ -173,9 +176,9 @@ def _resampled_policies(returns: Matrix, count: int, rng: np.random.Generator) -
     return returns[rows, columns].mean(axis=2)
 
 
-def _percentile_interval(value: float, resampled: Vector, has_one: bool) -> Interval:
+def _percentile_interval(value: float, resampled: Vector, has_interval: bool) -> Interval:
     """The percentile bootstrap interval (Efron and Tibshirani 1993, ch. 13)."""
-    if not has_one:
+    if not has_interval:
         return Interval(value, None, None)
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(resampled, [tail, 100 - tail])

@@ -28,7 +28,7 @@ def true_values(task: str, variant: str) -> dict[str, float]:
 
 
 def log_score(task: str, variant: str, distribution: Distribution) -> float | None:
-    """Log density of the truth [nat, in SI units]; None for a box or a sample, which have points.
+    """Log density of the truth [nat, per SI unit]; None for boxes, points and samples.
 
     DROPO's own density is 0 beyond two deviations, so that of the Gaussian with its mean and
     deviations is taken.

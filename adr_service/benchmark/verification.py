@@ -34,8 +34,8 @@ from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.infer import Infer
 
-_OF_SEARCHES = (["diagnostics", "path"], ["diagnostics", "stopped_by"])  # DROPO's and DROID's
-TOLERANCE, OF_INFERENCES = 1e-3, 1e-2  # of a number, relative to it or to 1 if that is more
+_SEARCH_DETAILS = (["diagnostics", "path"], ["diagnostics", "stopped_by"])  # DROPO's and DROID's
+TOLERANCE, INFERENCE_TOLERANCE = 1e-3, 1e-2  # of a difference of numbers, over max(1, their size)
 Agreement = Literal["identical", "close", "different"]
 
 
@@ -86,7 +86,7 @@ def verify(stage: AnyStage, stored: StageResult, is_same_machine: bool) -> Verif
 
 def tolerance(kind: str) -> float:
     """Largest deviation of a result that another type of CPU computed."""
-    return OF_INFERENCES if kind == Infer.kind else TOLERANCE
+    return INFERENCE_TOLERANCE if kind == Infer.kind else TOLERANCE
 
 
 def _is_identical(stored: StageResult, computed: StageResult) -> bool:
@@ -113,7 +113,7 @@ def _compared(kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: value
         for name, value in leaves.items()
-        if not isinstance(value, int) and name.split(".")[1:3] not in _OF_SEARCHES
+        if not isinstance(value, int) and name.split(".")[1:3] not in _SEARCH_DETAILS
     }
 
 

@@ -56,10 +56,11 @@ class Uniform:
 
 
 def at_resolution(distribution: Distribution, resolution: float) -> Distribution:
-    """A point on a grid, where every deviation is below the grid's width; else the distribution.
+    """The nearest grid point if all deviations are below `resolution`; else the distribution.
 
-    In [0, 4] coordinates. A box stays, however narrow: its width is its method's choice. A
-    Gaussian's point lies in the search box, as its draws do; a point beyond moves no further away.
+    `resolution` is the grid's width in [0, 4] coordinates. Boxes of any width are kept, because
+    their width is the method's choice. The result lies in the search box, as a Gaussian's draws do;
+    a point that was outside moves no further out.
     """
     space = distribution.space
     is_box = isinstance(distribution, Uniform) and np.any(distribution.low < distribution.high)

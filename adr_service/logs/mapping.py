@@ -29,7 +29,7 @@ unit = "deg"              # of a set-point that is a position
 wrap = 360.0              # of set-points that start again, or whose joint's readings do
 delay = 0.0               # seconds from the command's stamp to when the robot obeys; negative, if
                           # the stamp is of an arrival that is later
-between = "hold"          # readings; or "line", of a command that changes faster than the log shows
+between = "hold"          # until the next reading; or "line": straight, for fast commands
 """
 
 import tomllib

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # pycma takes a third of a second to import
 def strategy(
     start: Vector, *, std: float, width: float, rng: np.random.Generator
 ) -> "cma.CMAEvolutionStrategy":
-    """A search in [0, width]^d from `start`, bounded by pycma's transformation."""
+    """A search in [0, width]^d from `start` (d,), bounded by pycma's transformation."""
     with preparing():
         import cma
 

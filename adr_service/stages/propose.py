@@ -53,7 +53,8 @@ class Propose(Stage[Proposed]):
         proposal = self._settings.create().propose(problem, self.distributions, returns, rng)
         if not 0 <= proposal.best < len(returns):
             raise InvalidInput(
-                f"{self.method['name']} says that policy {proposal.best} is best, of {len(returns)}"
+                f"{self.method['name']} must name the best policy by a number from 0 to "
+                f"{len(returns) - 1}; given {proposal.best}"
             )
         check_space(f"the distribution of {self.method['name']}", proposal.next, self.space)
         return Proposed(

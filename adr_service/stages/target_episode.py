@@ -1,4 +1,4 @@
-"""One episode on a target outside, which a robot's client takes as a task and uploads."""
+"""One episode on an external target, which a robot's client claims as a task and uploads."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -43,7 +43,9 @@ class TargetEpisode(Stage[RobotEpisode]):
     policy: bytes | None = None  # None: random actions
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> RobotEpisode:
-        raise InvalidInput("a target outside needs the service, from which its client takes tasks")
+        raise InvalidInput(
+            "an external target needs the service: the robot's client gets its tasks from there"
+        )
 
     def events(self, result: RobotEpisode) -> list[RunEvent]:
         return []

@@ -78,13 +78,12 @@ def freeze(space: ParameterSpace, truth: Sequence[float], names: Sequence[str]) 
 def benchmark_variants(
     space: ParameterSpace, truth: Sequence[float], noise_variance: float, unmodeled: Source
 ) -> Mapping[str, Variant]:
-    """The three variants of the benchmark (Tiboni et al., Sec. 3.3), of one truth and two sources,
-    and two of ours, in which the search for what `unmodeled` freezes ends at the truth (`edge`) and
-    at 0.8 of it (`outside`).
+    """The benchmark's three variants (Tiboni et al., Sec. 3.3) and two of ours, with one truth.
 
-    Estimates whose means are clipped show it there: the paper's bounds hold the truth far inside.
-    Only the three, if `unmodeled` freezes nothing, or the bounds of what it freezes do not hold the
-    truth and 0.8 of it.
+    In ours, the search for the parameters that `unmodeled` freezes ends at the truth (`edge`) or at
+    0.8 of it (`outside`), to show how methods estimate at a bound: the paper's bounds hold the
+    truth well inside. Ours are left out if `unmodeled` freezes nothing, or if the bounds of a
+    frozen parameter do not hold both the truth and 0.8 of it.
     """
     source, values = Source(space), frozen(truth)
     hidden = Hidden(source, values, 0.0)

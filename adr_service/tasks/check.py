@@ -19,7 +19,7 @@ from adr_service.simulation.model import check_written_once, compiled
 from adr_service.tasks.base import Entry, Source, State, Task, Variant
 from adr_service.tasks.laws import initial_of, values_of
 
-_IN_ADDRESSES = ("/", "\\", "?", "#", "%")  # would be read as more than a name
+_FORBIDDEN = ("/", "\\", "?", "#", "%")  # in variants' names: URLs and paths give them a meaning
 _N = 10  # starts
 _STEPS, _RANDOM_STEPS = 5, 20  # with actions at their bounds, and between them
 
@@ -70,10 +70,10 @@ def _check_names(entry: Entry) -> None:
             raise InvalidInput(
                 f"the variant {name!r} has an @ in its name, after which a domain lists effects"
             )
-        if found := set(_IN_ADDRESSES) & set(name):
+        if found := set(_FORBIDDEN) & set(name):
             raise InvalidInput(
                 f"the variant {name!r} has {' '.join(sorted(found))} in its name; figures and "
-                f"addresses are named after it, so it may have none of {' '.join(_IN_ADDRESSES)}"
+                f"addresses are named after it, so it may have none of {' '.join(_FORBIDDEN)}"
             )
     if twice := [name for name, count in Counter(entry.task.columns).items() if count > 1]:
         raise InvalidInput(f"columns must have names of their own; twice: {', '.join(twice)}")

@@ -7,7 +7,7 @@ import pytest
 
 from adr_service.benchmark.replay import agree, replay_run
 from adr_service.benchmark.verification import (
-    OF_INFERENCES,
+    INFERENCE_TOLERANCE,
     TOLERANCE,
     _deviation,
     sampled,
@@ -68,7 +68,7 @@ def test_on_another_machine_numbers_may_differ_up_to_the_tolerance(stored):
 
 
 def test_inferences_may_differ_more_because_they_feed_on_chaotic_episodes():
-    assert tolerance("infer") == OF_INFERENCES > TOLERANCE == tolerance("evaluate")
+    assert tolerance("infer") == INFERENCE_TOLERANCE > TOLERANCE == tolerance("evaluate")
     assert tolerance("target_rollout") == TOLERANCE
 
 
@@ -93,7 +93,7 @@ def test_what_a_search_took_is_not_compared():
     assert _deviation("infer", *searches) == 0.0
     assert _deviation("target_rollout", stored, other) > TOLERANCE
     moved = StageResult({**stored.values, "distribution": {"low": [4.09]}})
-    assert _deviation("infer", stored, moved) > OF_INFERENCES
+    assert _deviation("infer", stored, moved) > INFERENCE_TOLERANCE
 
 
 def test_arrays_within_blobs_are_compared_number_by_number():

@@ -52,5 +52,5 @@ def test_no_stages_have_no_results():
 def test_the_error_of_a_stage_ends_the_program_after_the_events_of_earlier_ones():
     program = LocalStages().all([STAGES[0], episode()])
     next(program)
-    with pytest.raises(InvalidInput, match="a target outside needs the service"):
+    with pytest.raises(InvalidInput, match="an external target needs the service"):
         next(program)
