@@ -77,8 +77,12 @@ def check_directory(file: IO[bytes], largest: int, kind: str) -> None:
     listed = int(_END.unpack_from(tail, place)[5])
     locator = place - _LOCATOR_64.size
     if locator >= _END_64.size and tail.startswith(b"PK\x06\x07", locator):
-        # Python's reader believes this record, wherever the locator says that it is
+        # older Pythons believe the record before the locator, newer ones that at its offset first
         listed = max(listed, int(_END_64.unpack_from(tail, locator - _END_64.size)[8]))
+        file.seek(min(int(_LOCATOR_64.unpack_from(tail, locator)[2]), size))
+        at_offset = file.read(_END_64.size)
+        if len(at_offset) == _END_64.size and at_offset.startswith(b"PK\x06\x06"):
+            listed = max(listed, int(_END_64.unpack(at_offset)[8]))
     if listed > largest:
         raise InvalidInput(
             f"the {kind}'s list of members has {listed} bytes; accepted are {largest}"
