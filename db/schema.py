@@ -18,6 +18,7 @@ from alembic.config import Config
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Inspector, create_engine, inspect, text
 
+from adr_service.errors import InvalidInput
 from db.errors import DatabaseDamaged
 
 MIGRATING = RLock()  # held by Alembic's commands, which share globals
@@ -85,7 +86,8 @@ def differences(connection: Connection, revision: str | None) -> list[str]:
 def clear_leftovers(connection: Connection, revision: str | None) -> None:
     """Drop the leftovers of an upgrade of SQLite that was cut short, in the open transaction.
 
-    No table with rows is dropped: raises DatabaseDamaged with its name.
+    No table with rows is dropped: raises DatabaseDamaged with its name. Without a revision, raises
+    InvalidInput if a table has a column that ours has in no revision: it is another program's.
     """
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")
@@ -97,6 +99,8 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
             )
         connection.execute(text(f"drop table {table}"))  # a copy that was not finished
     leftover = there.tables & (known.tables - expected.tables)
+    if revision is None:
+        _check_ours(there, leftover)
     for table in sorted(leftover):
         if connection.scalar(text(f"select 1 from {table} limit 1")):  # noqa: S608 - our own names
             raise DatabaseDamaged(
@@ -110,6 +114,17 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
     for table, column in sorted(there.columns & (known.columns - expected.columns)):
         if table not in leftover:
             connection.execute(text(f"alter table {table} drop column {column}"))
+
+
+def _check_ours(there: Schema, leftover: frozenset[str]) -> None:
+    """Refuse a table that only has the name of one of ours."""
+    ours = frozenset[tuple[str, str]]().union(*(_schema_of(each).columns for each in revisions()))
+    for table, column in sorted(there.columns - ours):
+        if table in leftover:
+            raise InvalidInput(
+                f"the database belongs to another program: its table {table} has a column "
+                f"{column}, which ours never had; name a file or a database of its own"
+            )
 
 
 @cache

@@ -7,6 +7,7 @@ import pytest
 from alembic import command
 from sqlalchemy import create_engine, text
 
+from adr_service.errors import InvalidInput
 from db.errors import DatabaseDamaged
 from db.schema import alembic_config, clear_leftovers, differences, head, revisions
 from db.session import open_database
@@ -97,3 +98,15 @@ def test_a_leftover_table_with_rows_is_never_dropped(connection):
     with pytest.raises(DatabaseDamaged, match="left rows in datasets; restore the copy"):
         clear_leftovers(connection, "0001")
     assert connection.scalar(text("select count(*) from datasets")) == 1
+
+
+def test_an_empty_table_of_another_program_is_not_dropped(connection):
+    """Its file was named by mistake, and the table has the name of one of ours."""
+    connection.execute(text("create table runs (id text, distance_km real)"))
+    with pytest.raises(InvalidInput, match="another program: its table runs has a column distance"):
+        clear_leftovers(connection, None)
+    assert connection.scalar(text("select count(*) from runs")) == 0
+    connection.execute(text("drop table runs"))
+    connection.execute(text("create table runs (id text, state text)"))  # as of a first start
+    clear_leftovers(connection, None)
+    assert differences(connection, None) == []
