@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.parameters import RunId
-from api.routes.paging import Page, PageSize, page_of
+from api.routes.paging import MOST_NUMBERS, Page, PageSize, page_of
 from api.routes.polling import EVERY_S
 from api.service import ServiceDependency
 from db import events as event_store
@@ -29,17 +29,19 @@ def _existing(run_id: RunId, service: ServiceDependency) -> str:
 
 def _last_seen(
     last_event_id: Annotated[
-        str | None, Header(pattern=r"^[0-9]{1,18}$", description="of the last event seen")
-    ] = None,
+        int, Header(ge=0, lt=MOST_NUMBERS, description="of the last event seen")
+    ] = 0,
 ) -> int:
-    return int(last_event_id or 0)
+    return last_event_id
 
 
 @router.get("/{run_id}/events")
 def events(
     run_id: RunId,
     service: ServiceDependency,
-    after: Annotated[int, Query(ge=0, lt=2**63, description="only events above this number")] = 0,
+    after: Annotated[
+        int, Query(ge=0, lt=MOST_NUMBERS, description="only events above this number")
+    ] = 0,
     limit: PageSize = 100,
 ) -> Page[EventRecord]:
     """Events with a sequence number above `after`."""

@@ -6,11 +6,12 @@ from typing import Annotated, Generic, TypeVar
 from fastapi import Query
 from pydantic import BaseModel
 
+MOST_NUMBERS = 2**31  # of rows: PostgreSQL refuses to compare with larger integers
 Item = TypeVar("Item")
 Record = TypeVar("Record")
 PageSize = Annotated[int, Query(ge=1, le=1000, description="most items of the answer")]
 PageToken = Annotated[
-    int, Query(ge=0, lt=2**63, description="`next_page_token` of the answer before")
+    int, Query(ge=0, lt=MOST_NUMBERS, description="`next_page_token` of the answer before")
 ]
 
 
