@@ -28,7 +28,7 @@ from adr_service.specs.lost import Lost
 from db.errors import DatabaseDamaged, NotPossible
 from db.models import BenchmarkRow, RunRow, get_row
 from db.references import delete_unreferenced
-from db.requests import RequestKey, once
+from db.requests import RequestKey, check_new, once
 from db.results import delete_results
 from db.runs import (
     Accept,
@@ -136,18 +136,20 @@ def extend_benchmark(
     database: Database,
     benchmark_id: str,
     extension: BenchmarkExtension,
+    key: RequestKey | None = None,
     accept: Accept | None = None,
 ) -> list[RunRecord]:
     """Add runs to a benchmark, and return them; the runs that it has stay as they are.
 
-    Raises NotFound, InvalidInput if the extension adds nothing or a package has another version
-    since, NotPossible if the new runs would not compare with the old ones or another request was
-    faster, and what `accept` raises.
+    Raises NotFound, Replayed if the key has extended it before, InvalidInput if the extension adds
+    nothing or a package has another version since, NotPossible if the new runs would not compare
+    with the old ones or another request was faster, and what `accept` raises.
     """
     now = get_benchmark(database, benchmark_id)
-    spec, specs = _extended(database, now, extension)
+    spec, specs = _extended(database, now, extension, key)
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
+        once(session, key, benchmark_id)
         row = get_row(session, BenchmarkRow, benchmark_id)
         if _spec(row.spec) != now.spec:
             raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
@@ -158,10 +160,13 @@ def extend_benchmark(
 
 
 def planned_extension(
-    database: Database, benchmark_id: str, extension: BenchmarkExtension
+    database: Database,
+    benchmark_id: str,
+    extension: BenchmarkExtension,
+    key: RequestKey | None = None,
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs. Raises as `extend_benchmark`."""
-    return _extended(database, get_benchmark(database, benchmark_id), extension)
+    return _extended(database, get_benchmark(database, benchmark_id), extension, key)
 
 
 def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
@@ -235,9 +240,14 @@ def finished_before(database: Database, moment: datetime) -> list[Deletion]:
 
 
 def _extended(
-    database: Database, now: BenchmarkRecord, extension: BenchmarkExtension
+    database: Database,
+    now: BenchmarkRecord,
+    extension: BenchmarkExtension,
+    key: RequestKey | None,
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs."""
+    with database.read() as session:
+        check_new(session, key)  # repeated, it would add nothing
     spec, present = readable(now).extended(extension), runs_of(database, now.id)
     new = _missing(now, spec, present)
     if not new:

@@ -25,7 +25,7 @@ class Replayed(Exception):
 
     def __init__(self, id: str):
         super().__init__(id)
-        self.id = id  # of what it created
+        self.id = id  # of what it created or changed
 
 
 class KeyReused(InvalidInput):
@@ -33,18 +33,22 @@ class KeyReused(InvalidInput):
 
 
 def once(session: Session, key: RequestKey | None, id: str) -> None:
-    """Note that a request created `id`, inside the transaction that does.
+    """Note that a request created or changed `id`, inside the transaction that does.
 
-    Raises Replayed if its key has created something before, or KeyReused if that was another
-    request; both undo the transaction.
+    Raises as `check_new`, which undoes the transaction.
     """
     if key is None:
         return
     now = datetime.now(UTC)
     session.execute(delete(RequestRow).where(RequestRow.created_at < now - _KEPT))
-    known = session.get(RequestRow, key.key)
-    if known is None:
-        session.add(RequestRow(key=key.key, request=key.request, made=id, created_at=now))
+    check_new(session, key)
+    session.add(RequestRow(key=key.key, request=key.request, made=id, created_at=now))
+
+
+def check_new(session: Session, key: RequestKey | None) -> None:
+    """Raise Replayed if the request was made before, KeyReused if its key came with another one."""
+    known = None if key is None else session.get(RequestRow, key.key)
+    if key is None or known is None:
         return
     if known.request != key.request:
         raise KeyReused(

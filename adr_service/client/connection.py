@@ -92,11 +92,10 @@ class AdrClient:
         return self.content(f"{_criticism(run_id)}/{name}")
 
     def extend_benchmark(
-        self, benchmark_id: str, extension: Json, *, dry_run: bool = False
+        self, benchmark_id: str, extension: Json, *, dry_run: bool = False, key: str | None = None
     ) -> Json:
-        """Add seeds, methods, … to a benchmark."""
-        path = f"{_path(benchmark_id)}/extend"
-        return self._json("POST", path, json=_plain(extension), params=_dry(dry_run))
+        """Add seeds, methods, … to a benchmark; `dry_run` and `key` as in `submit_run`."""
+        return self._submit(f"{_path(benchmark_id)}/extend", extension, key, dry_run)
 
     def upload(self, content: bytes, task: str | None = None, name: str | None = None) -> Json:
         """Store a recording; with `task`, also check that it is of that task.

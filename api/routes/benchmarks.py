@@ -10,7 +10,7 @@ from adr_service.specs import BenchmarkSpec, RunSpec
 from api.bodies import BenchmarkBody, ExtensionBody
 from api.parameters import BenchmarkId, ValidateOnly
 from api.routes.paging import Page, PageSize, PageToken, page_of
-from api.routes.submissions import IdempotencyKey, check_packages, plan_here, start_benchmark
+from api.routes.submissions import IdempotencyKey, extend_benchmark, plan_here, start_benchmark
 from api.service import ServiceDependency
 from api.views import BenchmarkSummary, BenchmarkView, benchmark_summaries, benchmark_view
 from db import benchmarks as benchmark_store
@@ -91,21 +91,17 @@ def extend(
     service: ServiceDependency,
     response: Response,
     validate_only: ValidateOnly = False,
+    idempotency_key: IdempotencyKey = None,
 ) -> BenchmarkView | PlannedBenchmark:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice.
 
     With `validate_only`, return the new runs and their expected cost.
     """
-    spec, runs = benchmark_store.planned_extension(service.database, benchmark_id, extension)
     if validate_only:
+        spec, runs = benchmark_store.planned_extension(service.database, benchmark_id, extension)
         response.status_code = status.HTTP_200_OK
         return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, runs))
-    check_packages(runs)
-    added = benchmark_store.extend_benchmark(
-        service.database, benchmark_id, extension, service.check_queue
-    )
-    for run in added:
-        service.orchestrator.submit(run)
+    extend_benchmark(service, benchmark_id, extension, idempotency_key)
     return get_benchmark(benchmark_id, service)
 
 

@@ -11,7 +11,7 @@ from adr_service.benchmark.plan import Plan, plan
 from adr_service.client.http import LONGEST_KEY
 from adr_service.json_values import sha256
 from adr_service.methods.catalogue import check_installed
-from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
+from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages.base import StageResult
 from adr_service.training.settings import check_backend
 from api.service import Service
@@ -66,6 +66,21 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
     return record
 
 
+def extend_benchmark(
+    service: Service, id: str, extension: BenchmarkExtension, key: str | None
+) -> None:
+    """Add runs to a benchmark and start them; no others if the key has added them before."""
+    given = (service.database, id, extension, _request_key(key, extension, id))
+    try:
+        check_packages(benchmark_store.planned_extension(*given)[1])
+        added = benchmark_store.extend_benchmark(*given, service.check_queue)
+    except Replayed:
+        added = benchmark_store.runs_of(service.database, id)
+    for run in added:
+        if not run.is_finished:
+            service.orchestrator.submit(run)
+
+
 @contextmanager
 def _unless_deleted(id: str) -> Generator[None]:
     """Raise NotPossible if what an earlier request created is not there any more."""
@@ -105,8 +120,9 @@ def price(service: Service, specs: Sequence[RunSpec]) -> Plan:
     return plan(specs, service.orchestrator.cores, recording, find=find)
 
 
-def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:
-    """Return the key together with the digest of its request."""
+def _request_key(key: str | None, body: BaseModel, id: str = "") -> RequestKey | None:
+    """Return the key together with the digest of its request, which may change the thing `id`."""
     if key is None:
         return None
-    return RequestKey(key, sha256(f"{type(spec).__name__} {spec.model_dump_json()}".encode()))
+    request = f"{type(body).__name__}{id} {body.model_dump_json()}"
+    return RequestKey(key, sha256(request.encode()))

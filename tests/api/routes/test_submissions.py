@@ -6,7 +6,7 @@ from fastapi import Response
 from adr_service.errors import InvalidInput
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from api.routes.benchmarks import extend
-from api.routes.submissions import plan_here, start_benchmark, start_run
+from api.routes.submissions import extend_benchmark, plan_here, start_benchmark, start_run
 from api.service import QueueFull
 from db import benchmarks, runs
 from db.errors import NotPossible
@@ -58,6 +58,25 @@ def _assert_refused(service, spec, several, message):
         with pytest.raises(InvalidInput, match=message):
             submit()
     assert list(runs.list_runs(service.database)) == []
+
+
+def test_an_extension_that_is_sent_again_with_its_key_adds_nothing_else(service):
+    """Its answer was lost: without the key it would be refused, as adding nothing."""
+    id = start_benchmark(service, BENCHMARK, None).id
+    service.orchestrator.started.clear()
+    more = BenchmarkExtension(seeds=[2])
+    for _ in range(2):
+        extend_benchmark(service, id, more, "once")
+    added = [run.id for run in benchmarks.runs_of(service.database, id) if run.spec.seed == 2]
+    assert set(added) <= set(service.orchestrator.started)
+    assert len(benchmarks.runs_of(service.database, id)) == 9
+    with pytest.raises(KeyReused, match="another request"):
+        extend_benchmark(service, id, BenchmarkExtension(seeds=[3]), "once")
+    other = start_benchmark(service, BENCHMARK, None).id
+    with pytest.raises(KeyReused, match="another request"):
+        extend_benchmark(service, other, more, "once")
+    with pytest.raises(InvalidInput, match="has the seeds 2 already"):
+        extend_benchmark(service, id, more, None)
 
 
 @pytest.mark.parametrize("added", [{"methods": ["npdr"]}, {"seeds": [2]}], ids=str)
