@@ -6,6 +6,8 @@ Drawing takes seconds, and a graphics driver that crashes takes its process alon
 """
 
 import json
+import logging
+import os
 import subprocess
 import sys
 import tempfile
@@ -14,13 +16,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import adr_service
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RunSpec
 from adr_service.whole_files import written_whole
 
+log = logging.getLogger(__name__)
 _MOST_KEPT = 32
 _LONGEST_S = 180.0
+_PATIENCE_S = 30.0  # of somebody who asks for the film that is being made
+_REFUSED = 2  # the status of `adr` for a wrong input
 _FPS = 25
 
 
@@ -36,29 +42,34 @@ class Films:
     def __init__(self, folder: Path) -> None:
         self._folder, self._free = folder, threading.Lock()
         self._making = ""  # the key of the film that is being made
+        self._drawing: subprocess.Popen[str] | None = None
+        self._is_closed = False
 
     def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> Path:
         """The film of a policy's episode in the mean of its training distribution.
 
         Beside it is an episode on the target, where that is simulated. Whoever asks for the film
-        that is being made waits for it. Raises NoFilm while another one is made, and if it takes
-        too long, InvalidInput for what cannot be drawn.
+        that is being made waits for it, half a minute at most. Raises NoFilm while another one is
+        made, and if it takes too long or breaks, InvalidInput for what cannot be drawn.
         """
         if spec.extension or getattr(spec.target, "effects", ()):
             raise InvalidInput("films show a task's own simulator; this run has effects beyond it")
-        key = sha256(policy + canonical_json([spec.target.kind, distribution]).encode())
+        about = [adr_service.__version__, spec.target.kind, distribution]
+        key = sha256(policy + canonical_json(about).encode())
         film = self._folder / f"{key}.mp4"
         if film.exists():
+            os.utime(film)  # kept longest
             return film
         is_made_already = key == self._making
-        if not self._free.acquire(blocking=is_made_already):
-            raise NoFilm("another film is being made; ask again in some seconds")
+        if not self._free.acquire(timeout=_PATIENCE_S if is_made_already else 0):
+            which = "the" if is_made_already else "another"
+            raise NoFilm(f"{which} film is being made; ask again in some seconds")
         try:
             if is_made_already and not film.exists():
                 raise NoFilm("the film could not be made; ask again for the reason")
             if not film.exists():
                 self._making = key
-                self._keep(film, _film(spec, policy, distribution))
+                self._keep(film, self._film(spec, policy, distribution))
         finally:
             self._making = ""
             self._free.release()
@@ -72,25 +83,44 @@ class Films:
         for old in oldest_first[:-_MOST_KEPT]:
             old.unlink()
 
+    def _film(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "policy").write_bytes(policy)
+            (folder / "distribution").write_text(json.dumps(distribution))
+            # -P: not an api of the folder in which the service was started
+            command = [sys.executable, "-P", "-m", "api", "render", str(folder / "film.mp4")]
+            command += ["--task", spec.task, "--fps", str(_FPS), "--policy", str(folder / "policy")]
+            command += _world(spec, distribution, folder)
+            status, errors = self._drawn(command)
+            if status == _REFUSED:
+                raise InvalidInput(f"there is no film: {errors.strip()[-500:]}")
+            if status != 0:
+                log.warning("a film could not be made, status %d: %s", status, errors.strip())
+                raise NoFilm("drawing the film failed; the service's log says why")
+            return (folder / "film.mp4").read_bytes()
 
-def _film(spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "policy").write_bytes(policy)
-        (folder / "distribution").write_text(json.dumps(distribution))
-        # -P: not an api of the folder in which the service was started
-        command = [sys.executable, "-P", "-m", "api", "render", str(folder / "film.mp4")]
-        command += ["--task", spec.task, "--fps", str(_FPS), "--policy", str(folder / "policy")]
-        command += _world(spec, distribution, folder)
-        try:
-            done = subprocess.run(  # noqa: S603 - our own command
-                command, capture_output=True, text=True, timeout=_LONGEST_S, check=False
-            )
-        except subprocess.TimeoutExpired as error:
-            raise NoFilm(f"the film took longer than {_LONGEST_S:.0f} s") from error
-        if done.returncode != 0:
-            raise InvalidInput(f"there is no film: {done.stderr.strip()[-500:]}")
-        return (folder / "film.mp4").read_bytes()
+    def _drawn(self, command: list[str]) -> tuple[int, str]:
+        """The exit status of a command that draws, and its messages. Raises NoFilm."""
+        pipe = subprocess.PIPE
+        with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as drawing:  # noqa: S603 - our own command
+            self._drawing = drawing
+            if self._is_closed:
+                drawing.kill()
+            try:
+                errors = drawing.communicate(timeout=_LONGEST_S)[1]
+            except subprocess.TimeoutExpired as error:
+                drawing.kill()
+                raise NoFilm(f"the film took longer than {_LONGEST_S:.0f} s") from error
+            finally:
+                self._drawing = None
+        return drawing.returncode, errors
+
+    def close(self) -> None:
+        """End the drawing that goes on, which a service that stops would wait for."""
+        self._is_closed = True
+        if (drawing := self._drawing) is not None:
+            drawing.kill()
 
 
 def _world(spec: RunSpec, distribution: dict[str, Any], folder: Path) -> Iterator[str]:

@@ -133,6 +133,7 @@ class Service:
             log.info("%s was deleted: it had been kept long enough", id)
 
     def close(self) -> None:
+        self.films.close()
         self.orchestrator.close()
         self.database.close()
 

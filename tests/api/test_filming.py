@@ -1,6 +1,7 @@
 """Films of runs' policies."""
 
 import os
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -38,7 +39,7 @@ def test_one_film_is_made_at_a_time(films, monkeypatch):
         assert may_end.wait(30)
         return b"a film"
 
-    monkeypatch.setattr("api.filming._film", slowly)
+    monkeypatch.setattr(films, "_film", slowly)
     spec = RunSpec.model_validate(SPEC)
     first = threading.Thread(target=films.of, args=(spec, b"one", {}))
     first.start()
@@ -64,7 +65,7 @@ def asked_twice(films, monkeypatch):
             assert may_end.wait(30)
             return end()
 
-        monkeypatch.setattr("api.filming._film", slowly)
+        monkeypatch.setattr(films, "_film", slowly)
         spec = RunSpec.model_validate(SPEC)
         with ThreadPoolExecutor(2) as threads:
             first = threads.submit(films.of, spec, b"one", {})
@@ -98,7 +99,7 @@ def test_whoever_waited_for_a_film_that_could_not_be_made_does_not_make_it_again
 
 
 def test_only_the_latest_films_stay_on_disk(films, monkeypatch):
-    monkeypatch.setattr("api.filming._film", lambda spec, policy, _: policy)
+    monkeypatch.setattr(films, "_film", lambda spec, policy, _: policy)
     monkeypatch.setattr("api.filming._MOST_KEPT", 2)
     spec = RunSpec.model_validate(SPEC)
     paths = []
@@ -109,8 +110,46 @@ def test_only_the_latest_films_stay_on_disk(films, monkeypatch):
     assert paths[2].read_bytes() == b"three"
 
 
+def test_a_film_that_is_asked_for_again_stays_longest(films, monkeypatch):
+    monkeypatch.setattr(films, "_film", lambda spec, policy, _: policy)
+    monkeypatch.setattr("api.filming._MOST_KEPT", 2)
+    spec = RunSpec.model_validate(SPEC)
+    paths = []
+    for number, policy in enumerate((b"one", b"two")):
+        paths.append(films.of(spec, policy, {}))
+        os.utime(paths[-1], (number, number))  # made one after the other
+    films.of(spec, b"one", {})
+    films.of(spec, b"three", {})
+    assert [path.exists() for path in paths] == [True, False]
+
+
+def test_a_drawing_that_breaks_is_no_fault_of_the_request(films, monkeypatch, caplog):
+    monkeypatch.setattr(films, "_drawn", lambda command: (-11, "the driver crashed"))
+    with pytest.raises(NoFilm, match="the service's log says why"):
+        films.of(RunSpec.model_validate(SPEC), b"one", {"parameters": []})
+    assert "status -11: the driver crashed" in caplog.text
+
+
+def test_closing_ends_the_drawing_that_goes_on(films, monkeypatch):
+    """A service that stops waits for its threads."""
+    asked, endless = threading.Event(), [sys.executable, "-c", "import time; time.sleep(90)"]
+    draw = films._drawn
+
+    def drawn(command):
+        asked.set()
+        return draw(endless)
+
+    monkeypatch.setattr(films, "_drawn", drawn)
+    with ThreadPoolExecutor(1) as threads:
+        film = threads.submit(films.of, RunSpec.model_validate(SPEC), b"one", {"parameters": []})
+        assert asked.wait(30)
+        films.close()
+        with pytest.raises(NoFilm):
+            film.result(30)
+
+
 def test_the_same_policy_on_another_kind_of_target_is_another_film(films, monkeypatch):
-    monkeypatch.setattr("api.filming._film", lambda spec, *_: spec.target.kind.encode())
+    monkeypatch.setattr(films, "_film", lambda spec, *_: spec.target.kind.encode())
     simulated = RunSpec.model_validate(SPEC)
     external = RunSpec.model_validate({**SPEC, "target": {"kind": "external"}})
     assert films.of(simulated, b"one", {}).read_bytes() == b"simulated"
