@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from adr_service.arrays import Vector
 from adr_service.interchange.libraries import library
 from adr_service.simulation.batch import control_period
 from adr_service.simulation.model import action_names
@@ -37,7 +38,10 @@ def to_onnx(policy: Policy, task: Task, about: Mapping[str, str]) -> bytes:
     value = graph.affine(value, *policy.layers[-1])
     low, high = policy.action_low, policy.action_high
     scaled = graph.add("Mul", _squashed(graph, policy, value), graph.constant((high - low) / 2))
-    graph.add("Add", scaled, graph.constant((high + low) / 2), output="action")
+    action = graph.add("Add", scaled, graph.constant((high + low) / 2))
+    least, most = _float32_within(low, high)
+    action = graph.add("Max", action, graph.constant(least))  # rounding may lead beyond
+    graph.add("Min", action, graph.constant(most), output="action")
     metadata = {
         "observation_columns": json.dumps(task.columns),
         "action_columns": json.dumps(action_names(task.xml)),
@@ -45,6 +49,13 @@ def to_onnx(policy: Policy, task: Task, about: Mapping[str, str]) -> bytes:
         **about,
     }
     return graph.to_bytes(policy.layers[0][0].shape[1], len(low), metadata)
+
+
+def _float32_within(low: Vector, high: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest float32 within bounds (a,), which need not be float32."""
+    least, most = low.astype(np.float32), high.astype(np.float32)
+    least = np.where(least < low, np.nextafter(least, np.float32(np.inf)), least)
+    return least, np.where(most > high, np.nextafter(most, np.float32(-np.inf)), most)
 
 
 def _squashed(graph: "_Graph", policy: Policy, value: str) -> str:

@@ -17,6 +17,24 @@ def test_another_runtime_acts_as_the_policy_does(policy, task, observations):
     assert np.max(np.abs(actions - policy.act(observations)) / width) < 1e-6
 
 
+def test_no_action_is_beyond_bounds_that_float32_does_not_have(policy, task, observations):
+    """The float32 next to .4 is above it: a robot's side that checks its bounds would refuse it."""
+    width = len(policy.action_low)
+    *before, (weight, bias) = policy.layers
+    for sign in (-1, 1):
+        layers = (*before, (weight, bias + np.float32(1e6 * sign)))
+        bound = replace(
+            policy,
+            layers=layers,
+            action_low=np.full(width, -0.4),
+            action_high=np.full(width, 0.4),
+        )
+        session = onnxruntime.InferenceSession(to_onnx(bound, task, {}))
+        (actions,) = session.run(None, {"observation": observations.astype(np.float32)})
+        assert np.all(np.abs(actions.astype(float)) <= 0.4)
+        np.testing.assert_allclose(actions, bound.act(observations), atol=1e-6)
+
+
 def test_the_file_says_what_its_columns_are(policy, task):
     session = onnxruntime.InferenceSession(to_onnx(policy, task, {"run": "run_1"}))
     about = session.get_modelmeta().custom_metadata_map
