@@ -88,12 +88,15 @@ def from_minari(name: str, task: Task) -> TransitionDataset:
     try:
         _check_spaces(name)
         stored = minari.load_dataset(name)
-        _check_size(name, stored)
-        episodes = list(stored.iterate_episodes())
+        _check_rows(name, stored)
+        episodes = _episodes(name, stored)
         metadata: dict[str, Any] = stored.storage.metadata
         dt = float(metadata.get("adr_dt", control_period(task)))
         columns = tuple(map(str, metadata.get("adr_columns", task.columns[: task.measured])))
-        origin = str(metadata.get("adr_origin", f"Minari: {name}"))
+        taken = (
+            "" if "adr_dt" in metadata else f", which says no time step: {dt:g} s, {task.name}'s"
+        )
+        origin = str(metadata.get("adr_origin", f"Minari: {name}{taken}"))
     except InvalidInput:
         raise
     except Exception as error:  # whatever Minari and its storages raise
@@ -126,8 +129,8 @@ def _check_spaces(name: str) -> None:
         raise InvalidInput(f"{name!r} has no {' and no '.join(sorted(missing))}")
 
 
-def _check_size(name: str, stored: Any) -> None:
-    """Raise InvalidInput unless steps are rows of numbers, and not too many."""
+def _check_rows(name: str, stored: Any) -> None:
+    """Raise InvalidInput unless there are steps, which are rows of numbers."""
     rows, spaces = int(stored.total_steps), (stored.observation_space, stored.action_space)
     widths = [shape[0] for space in spaces if len(shape := space.shape or ()) == 1]
     if not rows or len(widths) != len(spaces):
@@ -135,8 +138,17 @@ def _check_size(name: str, stored: Any) -> None:
             f"{name!r} has {rows} steps, with observations {spaces[0]} and actions {spaces[1]}; "
             "needed are some steps, and a row of numbers for each"
         )
-    if rows * sum(widths) > _MOST_NUMBERS:
-        raise InvalidInput(f"{name!r} has {rows:,} steps; accepted are {_MOST_NUMBERS:,} numbers")
+
+
+def _episodes(name: str, stored: Any) -> list[Any]:
+    """All episodes. Raises InvalidInput for too many numbers, however many the metadata claim."""
+    episodes, numbers = list[Any](), 0
+    for episode in stored.iterate_episodes():
+        numbers += np.size(episode.observations) + np.size(episode.actions)
+        if numbers > _MOST_NUMBERS:
+            raise InvalidInput(f"{name!r} has too many numbers; accepted are {_MOST_NUMBERS:,}")
+        episodes.append(episode)
+    return episodes
 
 
 def _check(name: str, episode: Any, task: Task) -> None:

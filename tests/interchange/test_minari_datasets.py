@@ -101,6 +101,14 @@ def test_a_hostile_data_set_runs_no_code(arm, data, tmp_path, space):
     assert not ran.exists()
 
 
+def test_a_data_set_that_belittles_itself_is_refused(arm, data, tmp_path, monkeypatch):
+    monkeypatch.setattr("adr_service.interchange.minari_datasets._MOST_NUMBERS", data.actions.size)
+    to_minari(data, arm, NAME)
+    change(tmp_path, total_steps=1)
+    with pytest.raises(InvalidInput, match=f"too many numbers; accepted are {data.actions.size}"):
+        from_minari(NAME, arm)
+
+
 @pytest.mark.filterwarnings("ignore::UserWarning")  # on authors and code, for publishing
 def test_a_data_set_in_minaris_own_format_is_read(arm, data):
     """Others' data sets are HDF5, have no word of ours, and more columns than are measured."""
@@ -117,6 +125,7 @@ def test_a_data_set_in_minaris_own_format_is_read(arm, data):
     found = from_minari("theirs-v0", arm)
     assert found.observations.tolist() == [[i, i + 1, i + 2, i + 3] for i in range(3)]
     assert (found.dt, found.columns) == (0.02, arm.columns)
+    assert found.origin == "Minari: theirs-v0, which says no time step: 0.02 s, arm's"
 
 
 def change(folder, **metadata):
