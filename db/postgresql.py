@@ -50,8 +50,9 @@ class Postgresql:
         self.name = without_secrets(parsed)
         ours = {name: v for name, v in _CLIENT.items() if name not in parsed.query}
         settings = [f"-c {name}={value}" for name, value in _SERVER.items()]
-        given = str(parsed.query.get("options", ""))
-        arguments: dict[str, Any] = {**ours, "options": " ".join([*settings, given])}
+        given = parsed.query.get("options", ())  # several, if the URL repeats it
+        settings += [given] if isinstance(given, str) else given
+        arguments: dict[str, Any] = {**ours, "options": " ".join(settings)}
         options: dict[str, Any] = {"pool_pre_ping": True}
         can_write = {**arguments, "target_session_attrs": "read-write"}
         try:

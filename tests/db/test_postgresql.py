@@ -74,7 +74,9 @@ def test_values_that_it_cannot_store_are_invalid_input(url):
 def test_options_of_the_url_apply_to_tables_and_rows(url, postgresql):
     with closing(Database(url)) as database, database.write("test") as session:
         session.execute(text("create schema s"))
-    with closing(open_database(f"{url}&options=-csearch_path%3Ds")) as database:
+    with closing(
+        open_database(f"{url}&options=-csearch_path%3Ds&options=-cwork_mem%3D5MB")
+    ) as database:
         runs.create_run(database, SPEC)
         assert count(database, "s.runs") == 1
 
