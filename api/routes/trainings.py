@@ -12,6 +12,7 @@ from api.parameters import Digest, RunId
 from api.routes.downloads import bytes_response
 from api.service import ServiceDependency
 from db import events as event_store
+from db import runs as run_store
 from db import stages as stage_store
 from db.errors import NotFound
 from db.events import EventRecord
@@ -86,9 +87,10 @@ def trainings(run_id: RunId, service: ServiceDependency) -> list[TrainingView]:
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
 def policy_of_training(run_id: RunId, digest: Digest, service: ServiceDependency) -> Response:
     """Policy of a training; while it goes on, the best so far."""
-    content = stage_store.policy_of_training(service.database, digest)
-    events = (each.event for each in event_store.events_of(service.database, run_id))
-    known = {event.digest for event in events if isinstance(event, TrainingEvaluated)}
-    if content is None or digest not in known:
+    run_store.get_run(service.database, run_id)
+    points = event_store.all_of(service.database, [run_id], TrainingEvaluated)
+    is_its_own = any(point.digest == digest for _, point in points)
+    content = stage_store.policy_of_training(service.database, digest) if is_its_own else None
+    if content is None:
         raise NotFound("policy of training", digest)
     return bytes_response(content, f"{digest[:12]}.safetensors")
