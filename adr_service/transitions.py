@@ -100,7 +100,7 @@ class TransitionDataset:
         return 1 + int(np.count_nonzero(np.diff(self.episodes)))
 
     def windows(self, length: int) -> Indices:
-        """First rows (k,) of consecutive, disjoint windows of `length` rows, each of one episode."""
+        """First rows (k,) of consecutive, disjoint windows, each of `length` rows in an episode."""
         starts = [
             row
             for first, last in spans(self.episodes)

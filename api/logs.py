@@ -66,6 +66,7 @@ class _OnceAMinute(logging.Filter):
         text, now = record.getMessage(), time.monotonic()
         if now - self._shown.get(text, -math.inf) < _QUIET_S:
             return False
+        self._shown = {each: at for each, at in self._shown.items() if now - at < _QUIET_S}
         self._shown[text] = now
         return True
 
