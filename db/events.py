@@ -20,6 +20,7 @@ from adr_service.events import (
     RunFailed,
     RunState,
     RunStopped,
+    TrainingEvaluated,
     event_from_json,
     next_state,
     type_of,
@@ -29,7 +30,7 @@ from db import visits
 from db.models import EventRow, RunRow, find_row, get_row
 from db.session import CHUNK, Database, parts
 
-E = TypeVar("E", IterationFinished, CriticismFinished)
+E = TypeVar("E", IterationFinished, CriticismFinished, TrainingEvaluated)
 _ITERATION = EventRow.type == type_of(IterationFinished)
 
 
