@@ -32,7 +32,7 @@ STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # fields of R
 
 @dataclass(frozen=True)
 class Clock:
-    """The column with the times of a table's rows."""
+    """The column with the times of a table's rows, or of the messages of a bag's topic."""
 
     column: str = "time"
     unit: TimeUnit = "s"
@@ -113,7 +113,10 @@ class Log:
         self, column: str, clock: Clock, keep: Callable[[Vector], Indices], least: int
     ) -> Signal:
         stream = self._stream_of(column)
-        time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
+        stamps = None if clock.column in stream.columns else stream.stamps
+        if stamps is not None and clock.column not in (Clock.column, *self.names):
+            raise self._no_column(clock.column, self.names)
+        time = self._times(stream, clock) if stamps is None else stamps
         value = stream.columns[column]
         self._check_finite(stream, column)
         rows = np.flatnonzero(np.isfinite(value) & np.isfinite(time))
@@ -126,6 +129,7 @@ class Log:
                 f"{time[row] - time[row + 1]:.6g} s at {stream.place(int(rows[row + 1]))}; "
                 f"{_one_each(stream)}"
             )
+        has_arrivals = stream.has_arrivals and stamps is not None
         kept = keep(time)
         if len(kept) < least:
             raise InvalidInput(
@@ -134,7 +138,7 @@ class Log:
             )
         shared = len(time) - len(np.unique(time))
         crowded = len(time) - len(kept)
-        return Signal(time[kept], value[kept], crowded, shared, timeless, stream.has_arrivals)
+        return Signal(time[kept], value[kept], crowded, shared, timeless, has_arrivals)
 
     def parts(self, column: str) -> list["Log"]:
         """One log for each stretch of rows with one value of a column, such as a trial's number.
@@ -154,7 +158,8 @@ class Log:
         if (missing := np.flatnonzero(~np.isfinite(value))).size:
             raise InvalidInput(
                 f"{self.source}: {column!r} of rows.episode has no finite number at "
-                f"{stream.place(int(missing[0]))}"
+                f"{stream.place(int(missing[0]))} ({missing.size} rows in all); delete rows that "
+                "belong to no recording"
             )
         edges = [0, *(np.flatnonzero(np.diff(value) != 0) + 1).tolist(), len(value)]
         return [
@@ -231,7 +236,7 @@ def _one_each(stream: Stream) -> str:
         return "give one bag for each recording"
     return (
         "give one file for each recording, or name a column under rows.episode that changes where "
-        "another recording begins"
+        "another recording begins; sort the rows by time if these are late ones"
     )
 
 

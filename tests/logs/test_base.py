@@ -86,6 +86,27 @@ def test_rows_of_a_part_are_counted_from_the_start_of_the_log():
         part.signal("q", SECONDS)
 
 
+def test_a_bags_topic_may_have_a_clock_of_its_own_among_its_fields():
+    """A counter of the robot's board, where the bag knows the arrival alone."""
+    state = {"/state.q": np.arange(3.0), "/state.tick": np.array([10.0, 12, 14])}
+    bag = Log(
+        "a.mcap",
+        (
+            Stream(state, stamps=np.array([5.0, 5.0001, 5.0002]), has_arrivals=True),
+            Stream({"/command.u": np.arange(2.0)}, stamps=np.array([5.0, 6]), has_arrivals=True),
+        ),
+    )
+    clock = Clock("/state.tick", "ms")
+    signal = bag.signal("/state.q", clock)
+    np.testing.assert_allclose(signal.time, [0.010, 0.012, 0.014])
+    assert not signal.has_arrivals
+    other = bag.signal("/command.u", clock)
+    np.testing.assert_array_equal(other.time, [5, 6])
+    assert other.has_arrivals
+    with pytest.raises(UnknownName, match=r"column in a.mcap '/state.tock'; did you mean"):
+        bag.signal("/state.q", Clock("/state.tock", "ms"))
+
+
 def test_stamps_that_run_backwards_lead_to_one_bag_for_each_recording():
     bag = Log("a.mcap", (Stream({"q": np.arange(3.0)}, stamps=np.array([5.0, 6, 2])),))
     with pytest.raises(

@@ -29,7 +29,7 @@ int32 sec
 uint32 nanosec
 """
 COMMANDS = "float64[] data\n"
-CLOCK = Clock("unused", "s")  # topics have their own
+CLOCK = Clock()  # topics have their own
 
 
 def bag(stamps=lambda i: 1_700_000_000 + 0.002 * i):
@@ -291,6 +291,22 @@ def test_lists_that_are_too_long_and_fields_that_are_too_deep_are_listed_and_oth
         InvalidInput, match=r"'/state\.scan' cannot be read: it is a list of 300 places"
     ):
         log.signal("/state.scan_280", CLOCK)
+
+
+def test_bytes_are_numbers_and_lists_within_lists_are_listed():
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    raw = writer.register_msgdef("test/msg/Raw", "uint8[] data\n")
+    for i in range(2):
+        writer.write_message("/gripper", raw, {"data": [7, 200 + i]}, i * 10**9)
+    writer.finish()
+    log = read_mcap("run.mcap", buffer.getvalue())
+    np.testing.assert_array_equal(log.streams[0].columns["/gripper.data_1"], [200, 201])
+    message = {"q": [[0.1, 0.2]], "u": 1.0}
+    nested = read_mcap("run.mcap", json_bag(message, message))
+    assert nested.unread == {"/state.q_0": "it is a list within a list"}
+    with pytest.raises(InvalidInput, match=r"'/state\.q_0' has no numbers to read: it is a list"):
+        nested.signal("/state.q_0", CLOCK)
 
 
 def test_an_image_is_listed_as_a_list_that_is_too_long():
