@@ -42,19 +42,23 @@ from adr_service.logs.tracks import (
     check_derived,
     check_lengths,
     check_moves,
+    left_out_readings,
     mixed_clocks,
     recording_of,
     repeated,
     shared_times,
+    spikes,
 )
 from adr_service.logs.turns import (
     beside_their_joints,
     bridged,
     check_jumps,
+    fast_turns,
     on_one_branch,
     unknown_turns,
     unnoticed_turns,
     unwrapped,
+    wrapping_set_points,
 )
 
 _BEYOND = 0.1  # of a joint's range
@@ -156,10 +160,14 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
             for part in short
         ),
         *bridged(recordings, given),
+        *fast_turns(recordings, given, model),
         *unknown_turns(recordings, given, model),
+        *wrapping_set_points(recordings, given, model),
         *unnoticed_turns(recordings, given, model),
         *mixed_clocks(recordings),
         *shared_times(recordings),
+        *left_out_readings(recordings),
+        *spikes(recordings),
         *repeated(recordings),
         *_left_out(records),
         *_warnings(joined, period, recordings, given, model, compared),

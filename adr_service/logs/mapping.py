@@ -201,7 +201,7 @@ class LogMap(Wire):
         if drive.wrap is not None and not turns:
             raise InvalidInput(
                 f"actuators.{name}.wrap is for a set-point of a joint whose readings wrap; "
-                f"{'it moves no joint' if joint is None else f'joints.{joint} has no wrap'}"
+                f"{'it moves no joint' if joint is None else f'give joints.{joint} a wrap as well'}"
             )
         if drive.wrap is not None and not is_servo(model, name):
             raise InvalidInput(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from adr_service.arrays import Indices
+from adr_service.arrays import Indices, Vector
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.criticism.plausibility import why_stuck
 from adr_service.errors import InvalidInput
@@ -28,6 +28,7 @@ _COARSE = 3.0  # smallest steps of a sensor: larger changes are no single steps 
 _ROUNDED = 1e-9  # of a column's range: levels as near as that are the same
 _NAMED = 4  # columns in a sentence
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
+_FAR, _AGREE = 0.2, 0.02  # of a column's range, for a spike and for its two neighbours
 _COMMON = 0.1  # share of a column's readings, from which on their stamps look coarse
 
 
@@ -50,6 +51,10 @@ class Track:
     def after_gaps(self) -> Indices:
         """Numbers of the readings before which others are missing."""
         return np.flatnonzero(np.diff(self.signal.time) > GAP * self.spacing) + 1
+
+    def stretches(self) -> list[Vector]:
+        """The values between gaps, in the model's units."""
+        return np.split(self.signal.value, self.after_gaps)
 
     def gaps(self) -> list[tuple[float, float]]:
         """The last time before each gap, and the first after it [s]."""
@@ -181,6 +186,8 @@ def _remedy(quantity: str, is_constant: bool) -> str:
     if kind == "velocity" and is_constant:
         return f"so it is no velocity; leave joints.{joint}.velocity out (not measured)"
     needed = "needed are readings that follow the robot"
+    if not is_constant:
+        needed += ". If it only rests there, cut out rows in which it does (rows.episode)"
     if kind == "velocity":
         return needed
     return (
@@ -232,6 +239,41 @@ def shared_times(recordings: Sequence[Recording]) -> Iterator[str]:
         )
 
 
+def left_out_readings(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Warnings of columns of which many readings were left out for other reasons than one time."""
+    for tracks in zip(*(each.tracks for each in recordings), strict=True):
+        signals = [track.signal for track in tracks]
+        crowded = sum(signal.crowded - signal.shared for signal in signals)
+        timeless = sum(signal.timeless for signal in signals)
+        readings = sum(len(each.time) + each.crowded + each.timeless for each in signals)
+        if crowded + timeless > _COMMON * readings:
+            yield (
+                f"{crowded + timeless} of {readings} readings of {tracks[0].column!r} are left "
+                f"out: {crowded} come less than half the usual spacing after the one before, as "
+                f"where two sources log one column, and {timeless} have no time"
+            )
+
+
+def spikes(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Warnings of columns with single readings far off two neighbours that agree."""
+    for tracks in zip(*(each.states for each in recordings), strict=True):
+        reach = np.ptp(np.concatenate([track.signal.value for track in tracks]))
+        found: list[float] = []
+        for track in tracks:
+            before, value, after = (
+                track.signal.value[i:][: len(track.signal.value) - 2] for i in range(3)
+            )
+            is_spike = np.abs(value - (before + after) / 2) > _FAR * reach
+            is_spike &= np.abs(after - before) < _AGREE * reach
+            found += track.signal.time[1:-1][is_spike].tolist()
+        if found:
+            yield (
+                f"column {tracks[0].column!r} has {len(found)} single readings far off both "
+                f"neighbours, the first at {found[0]:.6g} s; if the sensor did not show what the "
+                "robot did, leave these cells empty"
+            )
+
+
 def mixed_clocks(recordings: Sequence[Recording]) -> Iterator[str]:
     """Warnings of bags in which some columns have stamps of their own and others arrivals."""
     for recording in recordings:
@@ -261,7 +303,7 @@ def bursts(recording: Recording) -> Iterator[str]:
             yield (
                 f"column {track.column!r} comes in bursts of about {size:.0f} readings, "
                 f"{1000 * track.spacing:.3g} ms apart: its stamps seem to be times of arrival, so "
-                "give those of the sensor (time.column, or header.stamp in the messages of a bag)"
+                "give those of the sensor (time.column, of a bag a field of the same topic)"
             )
 
 

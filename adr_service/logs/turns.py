@@ -14,12 +14,13 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.errors import InvalidInput
-from adr_service.logs.mapping import JointMap, LogMap, is_slide, joint_of
+from adr_service.logs.mapping import JointMap, LogMap, is_servo, is_slide, joint_of
 from adr_service.logs.tracks import GAP, MANY_TURNS, TURN, Recording, Track
 
 _NEARLY = 0.1  # a jump by a turn, to within a tenth
 _SPEED = 5  # readings beside a gap that tell the speed there
 _ROUNDED = 1e-3  # of a turn: how near a size such as 6.28 must be to whole turns of a hinge
+_FAST = 0.35  # of a turn between two readings; from half a turn on they are ambiguous
 _TOOTH = 0.9  # of the range of all readings: a step back that is as good as all of it
 _BESIDE = 3  # changes before and after such a step, in the other direction
 
@@ -46,21 +47,25 @@ def on_one_branch(
 ) -> list[Recording]:
     """Unwrapped recordings in which the same pose has the same position.
 
-    The median of the first recording is put next to the middle of the joint's range (zero for one
-    without limits), and the others' next to it. Joints whose pose a turn of their readings changes
-    stay where their readings and their zero put them.
+    A recording's median is put next to the middle of the joint's range. Where that is wider than a
+    turn, or missing (then the middle is zero), this holds for the first recording, and the others'
+    medians are put next to its. Joints whose pose a turn of their readings changes stay where their
+    readings and their zero put them.
     """
     middles: dict[int, float] = {}  # of the first recording, by joint
     moved: list[Recording] = []
     for recording in recordings:
         positions = list(recording.positions)
         for number, turn in enumerate(_turns_of(given, model)):
-            if turn is None or _changes_pose(turn, model, joints_of(model)[number]):
+            name = joints_of(model)[number]
+            if turn is None or _changes_pose(turn, model, name):
                 continue
-            near = middles.get(number, _middle_of_range(model, joints_of(model)[number]))
+            near = middles.get(number, _middle_of_range(model, name))
             value = positions[number].signal.value
             value = value + turn * np.round((near - np.median(value)) / turn)
-            middles.setdefault(number, float(np.median(value)))
+            joint = model.joint(name)
+            if not joint.limited[0] or np.ptp(joint.range) > turn:
+                middles.setdefault(number, float(np.median(value)))
             positions[number] = _with(positions[number], value)
         moved.append(replace(recording, positions=positions))
     return moved
@@ -93,6 +98,49 @@ def bridged(recordings: Sequence[Recording], given: LogMap) -> Iterator[str]:
                 "its turns in them are guessed from its speed beside them. If that may be wrong "
                 "by half a turn, cut the log at its gaps (rows.episode)"
             )
+
+
+def fast_turns(
+    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
+) -> Iterator[str]:
+    """Warnings of joints that move by nearly half a turn of their readings between two of them."""
+    for number, (name, turn) in enumerate(
+        zip(joints_of(model), _turns_of(given, model), strict=True)
+    ):
+        if turn is None:
+            continue
+        tracks = [each.positions[number] for each in recordings]
+        inside = [np.diff(each) for track in tracks for each in track.stretches()]
+        most = max(float(np.abs(steps).max(initial=0.0)) for steps in inside) / turn
+        if most > _FAST:
+            yield (
+                f"{name} moves by up to {most:.2g} of a turn of its readings (joints.{name}.wrap) "
+                "between two of them; from half a turn on it would be taken to move the other way. "
+                "Log faster, or log the joint's own angle"
+            )
+
+
+def wrapping_set_points(
+    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
+) -> Iterator[str]:
+    """Warnings of set-points without a wrap that jump by a turn."""
+    for number, name in enumerate(commanded_actuators(model)):
+        joint = joint_of(model, name)
+        drive, tracks = given.actuators[name], [each.commands[number] for each in recordings]
+        if joint is None or is_slide(model, joint) or not is_servo(model, name) or drive.wrap:
+            continue
+        turn = abs(model.actuator(name).gear[0]) * TURN
+        for track in filter(None, tracks):
+            value = track.signal.value
+            jumps = np.flatnonzero(np.abs(np.abs(np.diff(value)) - turn) < _NEARLY * turn)
+            if jumps.size:
+                yield (
+                    f"column {track.column!r} jumps by a turn at "
+                    f"{track.signal.time[jumps[0] + 1]:.6g} s ({jumps.size} times in all); if its "
+                    f"set-points wrap around, give actuators.{name}.wrap, and joints.{joint}.wrap "
+                    "as well: the size of a turn in the joint's readings, also if these go on"
+                )
+                break
 
 
 def unknown_turns(

@@ -587,6 +587,21 @@ def test_stamps_that_are_too_coarse_are_pointed_out(robot, even, given):
     assert "shift commands" in warning
 
 
+def test_readings_of_two_sources_in_one_column_are_pointed_out(robot, given):
+    """Each logs every 10 ms, one .5 ms after the other."""
+    rows = 2001
+    number = np.arange(rows)
+    columns = motion(0.01 * (number // 2) + 0.0005 * (number % 2))
+    usual = motion(np.arange(0, 0.005 * rows, 0.004))
+    two = Stream({name: columns[name] for name in ("q1", "dq1")}, stamps=columns["time"])
+    one = Stream({name: usual[name] for name in ("q2", "dq2", "u")}, stamps=usual["time"])
+    warnings = convert([Log("run.mcap", (two, one))], given, robot).warnings
+    found = [each for each in warnings if "come less than half the usual spacing" in each]
+    assert [each.partition(" are left out")[0] for each in found] == [
+        f"{rows // 2} of {rows} readings of {name!r}" for name in ("q1", "dq1")
+    ]
+
+
 def test_a_few_readings_at_one_time_are_not_pointed_out(robot, even, given):
     time = even["time"].copy()
     time[1:400] = time[np.arange(1, 400) // 2 * 2]

@@ -43,7 +43,7 @@ from tests.logs.conftest import MAP, XML
         (
             'command = "u"',
             'command = "u"\nwrap = 6.3',
-            r"motor.wrap is .*joints.shoulder has no wrap",
+            r"motor.wrap is .*give joints.shoulder a wrap as well",
         ),
     ],
 )

@@ -121,6 +121,50 @@ def test_readings_that_wrap_after_whole_turns_of_a_hinge_are_put_next_to_its_mid
     assert not warned(converted.warnings, "shoulder's readings wrap")
 
 
+@pytest.mark.parametrize("sides", [(-1, 1), (1, -1)])
+def test_recordings_at_both_ends_of_a_joints_range_stay_within_it(even, sides):
+    """The second one was put next to the first, beyond the joint's limit."""
+    limited = XML.replace('name="shoulder"', 'name="shoulder" range="-175 175" limited="true"')
+    logs = []
+    for number, side in enumerate(sides):
+        swing = side * np.radians(140) + 0.4 * even["q1"]
+        logs.append(log({**even, "q1": in_degrees(swing), "dq1": 0.4 * even["dq1"]}, f"{number}"))
+    given, model = LogMap.from_toml(WRAPS), mujoco.MjModel.from_xml_string(limited)
+    data = convert(logs, given, model).measurement
+    middles = [np.median(data.qpos[first:last, 0]) for first, last in data.spans()]
+    assert np.sign(middles).tolist() == np.repeat(sides, len(middles) // 2).tolist()
+    assert np.abs(data.qpos[:, 0]).max() < np.radians(175)
+
+
+@pytest.mark.parametrize(("speed", "is_warned"), [(0.3, False), (0.4, True)])
+def test_an_encoder_that_turns_nearly_half_between_readings_is_pointed_out(
+    robot, even, speed, is_warned
+):
+    """`speed`: most turns of the encoder from one reading to the next."""
+    gear = speed * 360 / np.degrees(3 * 0.004)
+    logged = {**even, "q1": in_degrees(gear * even["q1"])}
+    given = LogMap.from_toml(GEARED.replace("scale = 0.1", f"scale = {1 / gear}"))
+    found = warned(convert([log(logged)], given, robot).warnings, "shoulder moves by up to 0.4 of")
+    assert bool(found) == is_warned
+
+
+def test_set_points_that_jump_by_a_turn_are_pointed_out(even):
+    """The joint's readings go on, and its set-points begin again."""
+    joint = np.degrees(4 * even["q1"])
+    logged = {**even, "q1": joint, "dq1": 4 * even["dq1"], "u": joint % 360}
+    given = WRAPS.replace("\nwrap = 360.0", "").replace('"u"', '"u"\nunit = "deg"')
+    model = mujoco.MjModel.from_xml_string(SERVO)
+    (warning,) = warned(
+        convert([log(logged)], LogMap.from_toml(given), model).warnings, "column 'u'"
+    )
+    assert "give actuators.motor.wrap, and joints.shoulder.wrap as well" in warning
+    both = given.replace('"u"\n', '"u"\nwrap = 360.0\n').replace('"q1"\n', '"q1"\nwrap = 360.0\n')
+    converted = convert([log(logged)], LogMap.from_toml(both), model)
+    assert not warned(converted.warnings, "column 'u'")
+    data = converted.measurement
+    np.testing.assert_allclose(data.ctrl[:, 0], data.qpos[:, 0], atol=0.1)
+
+
 @pytest.mark.parametrize("step", [0.0, 0.5])
 def test_readings_that_wrap_without_a_wrap_in_the_map_are_pointed_out(robot, even, step):
     """Fine readings, and those of an encoder that repeats its steps [deg]."""
@@ -143,7 +187,10 @@ def test_readings_that_wrap_without_a_wrap_in_the_map_are_pointed_out(robot, eve
 
 def test_a_single_outlier_is_no_turn(robot, even, given):
     spiked = {**even, "q1": np.where(even["time"] == even["time"][2000], 30.0, even["q1"])}
-    assert not warned(convert([log(spiked)], given, robot).warnings, "column 'q1' jumps")
+    warnings = convert([log(spiked)], given, robot).warnings
+    assert not warned(warnings, "column 'q1' jumps")
+    (warning,) = warned(warnings, "column 'q1' has 1 single readings far off both neighbours")
+    assert f"the first at {even['time'][2000]:.6g} s" in warning
 
 
 def test_set_points_behind_a_gear_are_put_next_to_the_turns_of_their_drive(even):
