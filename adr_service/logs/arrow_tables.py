@@ -16,8 +16,8 @@ _NUMBER = r"^\s*[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*$"
 def stream_of(source: str, table: Any) -> tuple[Stream, dict[str, str]]:
     """The columns of a `pyarrow.Table`, and why others cannot be read.
 
-    An empty cell is NaN. A list of k numbers in each row becomes the columns NAME_0 to
-    NAME_(k - 1). Raises InvalidInput if two columns have one name.
+    An empty cell is NaN, in all places of a list. A list of k numbers in each row becomes the
+    columns NAME_0 to NAME_(k - 1). Raises InvalidInput if two columns have one name.
     """
     check_size(source, table.num_columns, table.num_columns * table.num_rows)
     columns: dict[str, Vector] = {}
@@ -53,9 +53,10 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
     values = _numbers(column.flatten())
     if values is None:
         return f"it holds {kind}"
-    if column.null_count or len(lengths) != 1:
+    if len(lengths) != 1:
         return "its lists are not all of one length"
-    table = values.reshape(len(column), int(lengths[0]))
+    table = np.full((len(column), int(lengths[0])), np.nan)  # an empty cell is no reading
+    table[np.asarray(column.is_valid())] = values.reshape(-1, int(lengths[0]))
     return {f"{name}_{i}": place for i, place in enumerate(table.T.copy())}
 
 

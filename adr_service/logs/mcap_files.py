@@ -227,13 +227,13 @@ def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, floa
             continue
         if isinstance(value, bool | int | float):
             yield path, float(value)
-        elif isinstance(value, list | tuple | np.ndarray):
+        elif isinstance(value, list | tuple | np.ndarray | bytes):  # uint8[] comes as bytes
             values = cast(Any, value)
             if len(values) > _LONGEST:
                 yield path, f"it is a list of {len(values):,} places; accepted are {_LONGEST}"
             else:
                 yield from _places(path, list(values), named, depth)
-        elif not isinstance(value, str | bytes | None):
+        elif not isinstance(value, str | None):
             yield from _flat(path, value, depth + 1)
 
 
@@ -246,7 +246,9 @@ def _places(
         place = f"{path}.{names[i]}" if is_named else f"{path}_{i}"
         if isinstance(value, bool | int | float | np.integer | np.floating):
             yield place, float(value)
-        elif not isinstance(value, str | bytes | list | tuple | np.ndarray | None):
+        elif isinstance(value, list | tuple | np.ndarray | bytes):
+            yield place, "it is a list within a list"
+        elif not isinstance(value, str | None):
             yield from _flat(place, value, depth + 1)
 
 

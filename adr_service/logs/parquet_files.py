@@ -70,7 +70,7 @@ def _names_of_places(file: Path) -> dict[str, str]:
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
         features: Mapping[str, Any] = about["features"]
-        listed = {name: _flat(feature.get("names")) for name, feature in features.items()}
+        listed = {name: _names_of(feature) for name, feature in features.items()}
     except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise InvalidInput(f"{file} does not describe a LeRobot data set: {error}") from error
     return {
@@ -80,11 +80,16 @@ def _names_of_places(file: Path) -> dict[str, str]:
     }
 
 
-def _flat(names: Any) -> list[str]:
-    """The names of a feature's places: a list, or a list under one key, such as `motors`."""
+def _names_of(feature: Mapping[str, Any]) -> list[str]:
+    """The names of a feature's places; none if they are not as many as these.
+
+    They are a list, or a list in a list or under one key, such as `motors`.
+    """
+    names, shape = feature.get("names"), feature.get("shape")
     if isinstance(names, dict):
-        lists = list(cast(dict[str, Any], names).values())
-        names = lists[0] if len(lists) == 1 else None
-    if not isinstance(names, list):
+        names = list(cast(dict[str, Any], names).values())
+    while isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
+    if not isinstance(names, list) or (isinstance(shape, list) and shape != [len(names)]):
         return []
     return [str(name) for name in cast(list[Any], names)]

@@ -30,6 +30,14 @@ def test_lists_of_numbers_become_columns():
     np.testing.assert_array_equal(log.streams[0].columns["state_1"], [2, 4])
 
 
+@pytest.mark.parametrize("size", [-1, 2])
+def test_an_empty_cell_of_lists_is_no_reading_of_any_place(size):
+    cells = [[1.0, 2.0], None, [3.0, 4.0]]
+    table = pa.table({"state": pa.array(cells, pa.list_(pa.float32(), size))})
+    log = read_parquet("log.parquet", content(table))
+    np.testing.assert_array_equal(log.streams[0].columns["state_1"], [2, np.nan, 4])
+
+
 def test_lists_of_different_lengths_are_listed_as_unread():
     table = pa.table({"t": [0.0, 1.0], "state": [[1.0], [3.0, 4.0]]})
     log = read_parquet("log.parquet", content(table))
@@ -94,6 +102,27 @@ def test_a_lerobot_data_set_names_its_columns_by_joint(lerobot):
     assert "observation.state.elbow.pos" in log.names
     signal = log.signal("action.elbow.pos", Clock("timestamp", "s"))
     np.testing.assert_array_equal(signal.value, [2, 4, 6])
+
+
+@pytest.mark.parametrize(
+    ("names", "column"),
+    [
+        ([["shoulder", "elbow"]], "observation.state.elbow"),
+        ({"motors": [["shoulder", "elbow"]]}, "observation.state.elbow"),
+        (["shoulder"], "observation.state_1"),  # not as many as places: all are numbered
+        (["x", "y", "z"], "observation.state_1"),
+        (None, "observation.state_1"),
+    ],
+)
+def test_names_of_lerobots_places_may_be_nested_and_are_as_many_as_these(lerobot, names, column):
+    file = lerobot / "meta" / "info.json"
+    about = json.loads(file.read_text())
+    about["features"]["observation.state"]["names"] = names
+    file.write_text(json.dumps(about))
+    (log,) = read_logs(lerobot)
+    states = [name for name in log.names if name.startswith("observation.state")]
+    assert len(states) == 2
+    assert states[1] == column
 
 
 def test_a_lerobot_data_set_that_names_two_places_alike_is_refused(lerobot):
