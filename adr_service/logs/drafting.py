@@ -52,11 +52,14 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
         lines += ["", f"[actuators.{_key(drive)}]", _line("command", column, comment)]
         if _kind(column) is _EFFORTS:
             lines.append(_MEASURED)
-        joint = joint_of(model, drive)
+        joint, scale = joint_of(model, drive), 1.0
         if joint is not None and is_servo(model, drive):
+            scale = model.actuator(drive).gear[0]  # its command is compared with gear × position
             named = column if _named_unit(column, _units(model, joint)) else positions[joint][0]
             lines.append(_position_unit(logs[0], named, _units(model, joint)))
-        lines.append("scale = 1.0  # of a reading in the model's command; negative if reversed")
+        lines.append(
+            f"scale = {float(scale)!r}  # of a reading in the model's command; negative if reversed"
+        )
         lines.append('# between = "line"  # if the command changes faster than the log shows')
     return "\n".join(lines) + "\n"
 

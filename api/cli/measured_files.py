@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from adr_service.criticism.compatibility import check_measurement
+from adr_service.criticism.compatibility import check_measurement, check_state
 from adr_service.criticism.excitation import excitation
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
@@ -23,7 +23,9 @@ from api.cli.files import naming, read_text
 def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
     """A map to start from, in TOML."""
     nominal, _ = nominal_of(task, None, model, ())
-    return draft(_read(logs), nominal.model(nominal.start))
+    robot = nominal.model(nominal.start)
+    check_state(robot)
+    return draft(_read(logs), robot)
 
 
 def measure_files(

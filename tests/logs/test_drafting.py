@@ -54,6 +54,13 @@ def test_a_set_point_gets_the_unit_of_its_column_or_its_joint(position, command,
     assert (found.actuators["drive"].command, found.actuators["drive"].unit) == (command, unit)
 
 
+def test_a_set_point_of_a_geared_servo_is_scaled_by_its_gear():
+    """MuJoCo compares its command with gear × position."""
+    servo = mujoco.MjModel.from_xml_string(ONE.replace("<motor", '<position gear="50"'))
+    text = draft([log({"time": np.arange(3.0), "cmd": np.zeros(3), "q": np.zeros(3)})], servo)
+    assert LogMap.from_toml(text).actuators["drive"].scale == 50
+
+
 @pytest.mark.parametrize(
     ("kind", "columns", "command", "is_marked"),
     [
