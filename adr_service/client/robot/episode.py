@@ -16,7 +16,7 @@ from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.transitions import TransitionDataset
 
-_SLOW = 1.5  # times the control period
+_SLOW = 1.1  # times the control period, on average
 _OF_RESET = ("observation", "info")
 _OF_STEP = ("observation", "reward", "terminated", "truncated", "info")
 
@@ -43,7 +43,7 @@ class Episode:
     is_broken: bool = False  # because the robot showed what is no observation
     is_cut: bool = False  # the owner's time ended it, or the environment before its end
     is_whole: bool = False  # it has all its steps, or the task ended it
-    period_s: float = np.nan  # median time between two commands; NaN for fewer
+    period_s: float = np.nan  # mean time between two commands; NaN for fewer
 
 
 def run_episode(
@@ -167,7 +167,7 @@ class Rollout:
             self._is_broken,
             self._is_cut,
             self.is_over and not self._wrong,
-            float(np.median(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
+            float(np.mean(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
         )
 
 
@@ -198,13 +198,13 @@ def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
 
 
 def slowness(period_s: float, about: Mapping[str, Any]) -> str:
-    """A remark if commands came much more slowly than the recording will say, else nothing."""
+    """A remark if commands came more slowly than the recording will say, else nothing."""
     expected = about["control_period_s"]
     if not period_s > _SLOW * expected:
         return ""
     return (
-        f"a step took {period_s:.3g} s, and counts as {expected:g} s: methods will take the robot "
-        f"for {period_s / expected:.1f} times as fast as it is"
+        f"a step took {period_s:.3g} s on average, and counts as {expected:g} s: methods will take "
+        f"the robot for {period_s / expected:.2g} times as fast as it is"
     )
 
 

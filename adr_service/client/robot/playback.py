@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
@@ -20,7 +21,7 @@ from adr_service.simulation.model import compiled
 from adr_service.tasks.base import Task
 from adr_service.transitions import TransitionDataset
 
-_AWAY = 0.2  # [rad or m] from the pose to start from
+_AWAY_RAD, _AWAY_M = 0.2, 0.05  # from the pose to start from, at hinges and at slides
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class _Episode:
     limited: int
     why_short: str  # empty: it is complete
     is_broken: bool = False
-    period_s: float = np.nan  # median time between two commands
+    period_s: float = np.nan  # mean time between two commands
 
 
 def about(task: Task) -> dict[str, Any]:
@@ -123,21 +124,24 @@ class Player:
             as_measurement(self._task, TransitionDataset.concatenate(parts)),
             sum(episode.limited for episode in episodes),
             tuple(episode.why_short for episode in episodes if episode.why_short),
-            slowness(_median([e.period_s for e in episodes]), self._machine.about),
+            slowness(_mean([e.period_s for e in episodes]), self._machine.about),
         )
 
 
-def _median(periods: Sequence[float]) -> float:
-    """Median of those that are known; NaN if none is."""
+def _mean(periods: Sequence[float]) -> float:
+    """Mean of those that are known; NaN if none is."""
     known = [period for period in periods if np.isfinite(period)]
-    return float(np.median(known)) if known else np.nan
+    return float(np.mean(known)) if known else np.nan
 
 
 def _check_start(task: Task, shown: Vector, start: Vector) -> None:
     """Raises InvalidInput unless a robot that shows this is in the pose to start from."""
     known = is_measured(task)[: len(start)]
-    pose = task.state(shown[None, : task.measured]).qpos[0]
-    if np.any(np.abs(pose - start)[known] > _AWAY):
+    pose, model = task.state(shown[None, : task.measured]).qpos[0], compiled(task.xml)
+    away, slides = np.abs(pose - start), model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    free = ~slides & ~model.jnt_limited.astype(bool)  # a turn more is the same pose
+    away[free] = np.abs((away[free] + np.pi) % (2 * np.pi) - np.pi)
+    if np.any((away > np.where(slides, _AWAY_M, _AWAY_RAD))[known]):
         raise InvalidInput(
             f"the plan begins at {np.round(start, 3).tolist()}, and the robot is at "
             f"{np.round(pose, 3).tolist()}, from where the plan would move it elsewhere. Put it "

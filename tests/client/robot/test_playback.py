@@ -215,6 +215,8 @@ def test_nothing_is_sent_from_another_pose_than_the_plans(robot):
     assert len(play(robot, TASK, Limits(), commands, never, pose).measurement.spans()) > 1
     with pytest.raises(InvalidInput, match=r"the plan begins at .* and the robot is at"):
         play(robot, TASK, Limits(), commands, never, pose + np.array([1.0, 0.0]))
+    turned = pose + np.array([2 * np.pi, -2 * np.pi])  # the same pose of joints without limits
+    assert len(play(robot, TASK, Limits(), commands, never, turned).measurement.spans()) > 1
 
 
 @pytest.mark.parametrize("pose", [[0.0, np.nan], [[0.0, 0.0]], ["a", "b"]])
