@@ -32,6 +32,7 @@ from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import encodable
 from adr_service.logs.catalogue import ROWS_IN_FOLDERS
+from adr_service.logs.mapping import is_slide
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
 from adr_service.simulation.model import not_a_model, unit_at
@@ -185,7 +186,8 @@ def plan_file(
     joints = joints_of(simulator.base)
     lines.append(f"  each episode starts {_beginning(plan, joints)}")
     for name, now, before in zip(joints, plan.reach, plan.recorded, strict=True):
-        lines.append(f"  {name}: {_range(now)} in simulation, {_range(before)} as recorded")
+        unit = _unit(simulator.base, name)
+        lines.append(f"  {name}: {_range(now)} {unit} in simulation, {_range(before)} as recorded")
     return lines
 
 
@@ -225,9 +227,21 @@ def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
 
 
 def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
-    """Allowed positions of texts NAME=LOW:HIGH, by the joint's number."""
-    names = joints_of(nominal.model(nominal.start))
-    return _once("reach", [_bounds("reach", "joint", text, names) for text in texts], names)
+    """Allowed positions [rad or m] of texts NAME=LOW:HIGH, by the joint's number.
+
+    Raises InvalidInput for positions beyond the model's range of the joint.
+    """
+    model = nominal.model(nominal.start)
+    names = joints_of(model)
+    given = _once("reach", [_bounds("reach", "joint", text, names) for text in texts], names)
+    for number, bounds in given.items():
+        low, high = _range_of(model, names[number])
+        if bounds[0] < low or bounds[1] > high:
+            raise InvalidInput(
+                f"--reach {names[number]}={bounds[0]:g}:{bounds[1]:g}: the joint may be at "
+                f"{low:.4g} to {high:.4g} {_unit(model, names[number])}"
+            )
+    return given
 
 
 def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
@@ -245,14 +259,23 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
             raise InvalidInput(
                 f"--start {text!r} is not NAME=POSITION, as in {names[0]}=0.5"
             ) from error
-        joint = model.joint(name)
-        low, high = joint.range if joint.limited[0] else (-np.inf, np.inf)
+        low, high = _range_of(model, name)
         if not (np.isfinite(position) and low <= position <= high):
             raise InvalidInput(
-                f"--start {text!r}: {name} may be at {low:.4g} to {high:.4g} rad or m"
+                f"--start {text!r}: {name} may be at {low:.4g} to {high:.4g} {_unit(model, name)}"
             )
         pose.append((names.index(name), position))
     return _once("start", pose, names)
+
+
+def _range_of(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
+    """The least and the largest position of a joint; infinite without limits."""
+    limits = model.joint(joint)
+    return tuple(limits.range) if limits.limited[0] else (-np.inf, np.inf)
+
+
+def _unit(model: mujoco.MjModel, joint: str) -> str:
+    return "m" if is_slide(model, joint) else "rad"
 
 
 def _once(option: str, given: Sequence[tuple[int, T]], names: Sequence[str]) -> dict[int, T]:
@@ -320,5 +343,6 @@ def _measurement(path: Path, task: Task | None) -> Measurement:
             return Measurement.from_npz(content)
         raise InvalidInput(
             "it is no measurement of states and commands, which a --model needs "
-            "(docs/criticism.md); recordings of transitions go with a --task"
+            "(docs/criticism.md); adr measure makes one of a robot's log, and recordings of "
+            "transitions go with a --task"
         )

@@ -78,7 +78,10 @@ def read_recording(file: Path, task_name: str) -> bytes:
     if not file.suffix or file.with_name(f"{file.name}_observations.npy").exists():
         return _combined(file, task_name)
     if file.suffix != ".npz":
-        raise InvalidInput(f"a recording is an .npz, or a prefix of .npy files; given {file}")
+        raise InvalidInput(
+            f"a recording is an .npz, or a prefix of .npy files; given {file}. adr measure makes a "
+            "measurement of a robot's log"
+        )
     return read(file)
 
 

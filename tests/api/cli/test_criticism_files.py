@@ -97,6 +97,18 @@ def test_a_name_that_is_given_twice_is_refused(read, texts):
     assert list(read(texts[:1], nominal)) == [0]
 
 
+def test_a_reach_beyond_the_joints_range_is_refused_with_its_unit(model):
+    """Degrees that were taken for radians left a robot's plan without a bound."""
+    limited = '<joint name="elbow" limited="true" range="-1.5 1.5"'
+    model.write_text(model.read_text().replace('<joint name="elbow"', limited))
+    nominal, _ = nominal_of(None, None, model, [])
+    assert reach_of(["elbow=-1:1.5"], nominal) == {1: (-1.0, 1.5)}
+    low, high = nominal.model(nominal.start).joint("elbow").range
+    message = f"elbow=-90:90: the joint may be at {low:.4g} to {high:.4g} rad$"
+    with pytest.raises(InvalidInput, match=message):
+        reach_of(["elbow=-90:90"], nominal)
+
+
 def test_a_file_that_is_no_model_is_refused(tmp_path):
     path = tmp_path / "letter.xml"
     path.write_text("dear robot")
