@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from adr_service.whole_files import written_whole
 log = logging.getLogger(__name__)
 _MOST_KEPT = 32
 _LONGEST_S = 180.0
-_PATIENCE_S = 30.0  # of somebody who asks for the film that is being made
+_MOST_WAITING = 2  # for the film that is being made: each holds one of the service's threads
 _REFUSED = 2  # the status of `adr` for a wrong input
 _FPS = 25
 
@@ -41,6 +42,7 @@ class Films:
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._free = folder, threading.Lock()
+        self._waiting = threading.BoundedSemaphore(_MOST_WAITING)
         self._making = ""  # the key of the film that is being made
         self._drawing: subprocess.Popen[str] | None = None
         self._is_closed = False
@@ -48,20 +50,23 @@ class Films:
     def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> Path:
         """The film of a policy's episode in the mean of its training distribution.
 
-        Beside it is an episode on the target, where that is simulated. Whoever asks for the film
-        that is being made waits for it, half a minute at most. Raises NoFilm while another one is
-        made, and if it takes too long or breaks, InvalidInput for what cannot be drawn.
+        Beside it is an episode on the target, where that is simulated. Two who ask for the film
+        that is being made wait for it. Raises NoFilm for more of them, while another one is made,
+        and if it takes too long or breaks, InvalidInput for what cannot be drawn.
         """
         if spec.extension or getattr(spec.target, "effects", ()):
             raise InvalidInput("films show a task's own simulator; this run has effects beyond it")
         about = [adr_service.__version__, spec.target.kind, distribution]
         key = sha256(policy + canonical_json(about).encode())
         film = self._folder / f"{key}.mp4"
-        if film.exists():
+        with suppress(FileNotFoundError):
             os.utime(film)  # kept longest
             return film
         is_made_already = key == self._making
-        if not self._free.acquire(timeout=_PATIENCE_S if is_made_already else 0):
+        if is_made_already and self._waiting.acquire(blocking=False):
+            self._free.acquire()
+            self._waiting.release()
+        elif not self._free.acquire(blocking=False):
             which = "the" if is_made_already else "another"
             raise NoFilm(f"{which} film is being made; ask again in some seconds")
         try:
@@ -93,6 +98,8 @@ class Films:
             command += ["--task", spec.task, "--fps", str(_FPS), "--policy", str(folder / "policy")]
             command += _world(spec, distribution, folder)
             status, errors = self._drawn(command)
+            if self._is_closed:
+                raise NoFilm("the service is stopping")
             if status == _REFUSED:
                 raise InvalidInput(f"there is no film: {errors.strip()[-500:]}")
             if status != 0:

@@ -3,7 +3,7 @@
 import os
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
 import imageio_ffmpeg
 import pytest
@@ -86,6 +86,32 @@ def test_whoever_asks_for_the_film_that_is_being_made_waits_for_it(asked_twice):
     assert tries == 1
 
 
+def test_no_more_than_two_hold_a_thread_for_the_film_that_is_being_made(films, monkeypatch):
+    begun, may_end = threading.Event(), threading.Event()
+
+    def slowly(*_):
+        begun.set()
+        assert may_end.wait(30)
+        return b"a film"
+
+    monkeypatch.setattr(films, "_film", slowly)
+    spec = RunSpec.model_validate(SPEC)
+    with ThreadPoolExecutor(6) as threads:
+        first = threads.submit(films.of, spec, b"one", {})
+        assert begun.wait(30)
+        others = [threads.submit(films.of, spec, b"one", {}) for _ in range(5)]
+        refused, _ = wait(others, 30, FIRST_COMPLETED)
+        while len(refused) < 3:
+            more, _ = wait(set(others) - refused, 30, FIRST_COMPLETED)
+            assert more
+            refused |= more
+        may_end.set()
+    for each in refused:
+        with pytest.raises(NoFilm, match="the film is being made; ask again"):
+            each.result()
+    assert [each.result() for each in set(others) - refused] == [first.result()] * 2
+
+
 def test_whoever_waited_for_a_film_that_could_not_be_made_does_not_make_it_again(asked_twice):
     def fail():
         raise InvalidInput("there is no film: no driver")
@@ -144,7 +170,7 @@ def test_closing_ends_the_drawing_that_goes_on(films, monkeypatch):
         film = threads.submit(films.of, RunSpec.model_validate(SPEC), b"one", {"parameters": []})
         assert asked.wait(30)
         films.close()
-        with pytest.raises(NoFilm):
+        with pytest.raises(NoFilm, match="the service is stopping"):
             film.result(30)
 
 
