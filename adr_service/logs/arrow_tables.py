@@ -54,9 +54,10 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
     if values is None:
         return f"it holds {kind}"
     if len(lengths) != 1:
-        return "its lists are not all of one length"
-    table = np.full((len(column), int(lengths[0])), np.nan)  # an empty cell is no reading
-    table[np.asarray(column.is_valid())] = values.reshape(-1, int(lengths[0]))
+        return "its lists are not all of one length" if len(lengths) else "all its cells are empty"
+    has_list, length = np.asarray(column.is_valid()), int(lengths[0])
+    table = np.full((len(column), length), np.nan)  # an empty cell is no reading
+    table[has_list] = values.reshape(int(has_list.sum()), length)
     return {f"{name}_{i}": place for i, place in enumerate(table.T.copy())}
 
 

@@ -67,6 +67,10 @@ class Stream:
         stamps = None if self.stamps is None else self.stamps[rows]
         return replace(self, columns=columns, stamps=stamps, before=self.before + rows.start)
 
+    def stamps_beside(self, clock: str) -> Vector | None:
+        """The rows' times [s] by the format; None where a column, the clock, has them."""
+        return None if clock in self.columns else self.stamps
+
     def place(self, row: int) -> str:
         """The place of a row in the log, as its user counts: from 1."""
         number = self.before + row + 1
@@ -113,7 +117,7 @@ class Log:
         self, column: str, clock: Clock, keep: Callable[[Vector], Indices], least: int
     ) -> Signal:
         stream = self._stream_of(column)
-        stamps = None if clock.column in stream.columns else stream.stamps
+        stamps = stream.stamps_beside(clock.column)
         if stamps is not None and clock.column not in (Clock.column, *self.names):
             raise self._no_column(clock.column, self.names)
         time = self._times(stream, clock) if stamps is None else stamps

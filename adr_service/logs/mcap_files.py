@@ -240,14 +240,15 @@ def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, floa
 def _places(
     path: str, values: list[Any], names: Any, depth: int
 ) -> Iterator[tuple[str, float | str]]:
+    if any(isinstance(value, list | tuple | np.ndarray | bytes) for value in values):
+        yield path, "it is a list of lists"
+        return
     is_named = isinstance(names, list | tuple) and len(cast(list[Any], names)) == len(values)
     is_named = is_named and len(set(map(str, names))) == len(values)  # two robots may share names
     for i, value in enumerate(values):
         place = f"{path}.{names[i]}" if is_named else f"{path}_{i}"
         if isinstance(value, bool | int | float | np.integer | np.floating):
             yield place, float(value)
-        elif isinstance(value, list | tuple | np.ndarray | bytes):
-            yield place, "it is a list within a list"
         elif not isinstance(value, str | None):
             yield from _flat(place, value, depth + 1)
 

@@ -55,7 +55,8 @@ def check_logs_apart(logs: Sequence[Log], given: LogMap) -> None:
 def _table(
     source: str, stream: Stream, read: Sequence[str], sent: Sequence[str], clock: str
 ) -> _Table:
-    time = stream.columns[clock] if stream.stamps is None else stream.stamps
+    stamps = stream.stamps_beside(clock)
+    time = stream.columns[clock] if stamps is None else stamps
     rows = np.column_stack([*(stream.columns[name] for name in (*read, *sent)), time])
     complete = np.flatnonzero(np.isfinite(rows).all(axis=1))
     changes = np.diff(rows[complete, : len(read)], axis=0, prepend=np.nan)

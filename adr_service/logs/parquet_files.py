@@ -83,13 +83,17 @@ def _names_of_places(file: Path) -> dict[str, str]:
 def _names_of(feature: Mapping[str, Any]) -> list[str]:
     """The names of a feature's places; none if they are not as many as these.
 
-    They are a list, or a list in a list or under one key, such as `motors`.
+    They are a list, or a list in a list or under one key, such as `motors`, or keys with numbers.
     """
     names, shape = feature.get("names"), feature.get("shape")
     if isinstance(names, dict):
-        names = list(cast(dict[str, Any], names).values())
+        keyed = cast(dict[str, Any], names)
+        values = list(keyed.values())
+        is_numbered = all(isinstance(value, int) for value in values)
+        names = sorted(keyed, key=lambda key: keyed[key]) if is_numbered else values
     while isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
         names = names[0]
     if not isinstance(names, list) or (isinstance(shape, list) and shape != [len(names)]):
         return []
-    return [str(name) for name in cast(list[Any], names)]
+    found = cast(list[Any], names)
+    return found if all(isinstance(name, str) for name in found) else []

@@ -29,6 +29,7 @@ _ROUNDED = 1e-9  # of a column's range: levels as near as that are the same
 _NAMED = 4  # columns in a sentence
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
 _FAR, _AGREE = 0.2, 0.02  # of a column's range, for a spike and for its two neighbours
+_NOISE = 20.0  # times the median distance of a reading from the mean of its neighbours
 _COMMON = 0.1  # share of a column's readings, from which on their stamps look coarse
 
 
@@ -240,7 +241,7 @@ def shared_times(recordings: Sequence[Recording]) -> Iterator[str]:
 
 
 def left_out_readings(recordings: Sequence[Recording]) -> Iterator[str]:
-    """Warnings of columns of which many readings were left out for other reasons than one time."""
+    """Warnings of columns that lose many readings for other reasons than equal times."""
     for tracks in zip(*(each.tracks for each in recordings), strict=True):
         signals = [track.signal for track in tracks]
         crowded = sum(signal.crowded - signal.shared for signal in signals)
@@ -255,22 +256,30 @@ def left_out_readings(recordings: Sequence[Recording]) -> Iterator[str]:
 
 
 def spikes(recordings: Sequence[Recording]) -> Iterator[str]:
-    """Warnings of columns with single readings far off two neighbours that agree."""
+    """Warnings of columns with single readings far off two neighbours that agree.
+
+    Far off is a fifth of the range, more than noise reaches, and more than single steps of a coarse
+    sensor.
+    """
     for tracks in zip(*(each.states for each in recordings), strict=True):
-        reach = np.ptp(np.concatenate([track.signal.value for track in tracks]))
+        levels = np.unique(np.concatenate([track.signal.value for track in tracks]))
+        steps = np.diff(levels)
+        if not (steps > _ROUNDED * steps.sum()).any():
+            continue
+        least = float(steps[steps > _ROUNDED * steps.sum()].min())
+        off = [np.abs(np.diff(track.signal.value, n=2)) / 2 for track in tracks]
+        noise = float(np.median(np.concatenate(off)))
+        far = max(_FAR * float(steps.sum()), _NOISE * noise, _COARSE * least)
         found: list[float] = []
-        for track in tracks:
-            before, value, after = (
-                track.signal.value[i:][: len(track.signal.value) - 2] for i in range(3)
-            )
-            is_spike = np.abs(value - (before + after) / 2) > _FAR * reach
-            is_spike &= np.abs(after - before) < _AGREE * reach
-            found += track.signal.time[1:-1][is_spike].tolist()
+        for track, each in zip(tracks, off, strict=True):
+            value = track.signal.value
+            agree = np.abs(value[2:] - value[:-2]) < _AGREE * steps.sum()
+            found += track.signal.time[1:-1][(each > far) & agree].tolist()
         if found:
             yield (
-                f"column {tracks[0].column!r} has {len(found)} single readings far off both "
-                f"neighbours, the first at {found[0]:.6g} s; if the sensor did not show what the "
-                "robot did, leave these cells empty"
+                f"column {tracks[0].column!r} is far off the readings before and after, which "
+                f"agree, {len(found)} times, first at {found[0]:.6g} s; leave these cells empty if "
+                "the robot did not move like that"
             )
 
 
@@ -281,7 +290,7 @@ def mixed_clocks(recordings: Sequence[Recording]) -> Iterator[str]:
         stamped = [t.column for t in recording.tracks if not t.signal.has_arrivals]
         if arrived and stamped:
             yield (
-                f"{recording.source} has two clocks: the header.stamp of the messages for "
+                f"{recording.source} has two clocks: times of their own for "
                 f"{_listed(stamped)}, and the time of arrival in the bag for {_listed(arrived)}. "
                 "What is at arrival seems late; record its messages with a header, or give the "
                 "actuators a delay (negative if their commands are at arrival)"
@@ -303,7 +312,7 @@ def bursts(recording: Recording) -> Iterator[str]:
             yield (
                 f"column {track.column!r} comes in bursts of about {size:.0f} readings, "
                 f"{1000 * track.spacing:.3g} ms apart: its stamps seem to be times of arrival, so "
-                "give those of the sensor (time.column, of a bag a field of the same topic)"
+                "give those of the sensor (time.column; for a bag, a field of the same topic)"
             )
 
 

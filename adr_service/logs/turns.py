@@ -20,7 +20,7 @@ from adr_service.logs.tracks import GAP, MANY_TURNS, TURN, Recording, Track
 _NEARLY = 0.1  # a jump by a turn, to within a tenth
 _SPEED = 5  # readings beside a gap that tell the speed there
 _ROUNDED = 1e-3  # of a turn: how near a size such as 6.28 must be to whole turns of a hinge
-_FAST = 0.35  # of a turn between two readings; from half a turn on they are ambiguous
+_FAST = 1 / 3  # of a turn between two readings; from half a turn on they are ambiguous
 _TOOTH = 0.9  # of the range of all readings: a step back that is as good as all of it
 _BESIDE = 3  # changes before and after such a step, in the other direction
 
@@ -64,7 +64,7 @@ def on_one_branch(
             value = positions[number].signal.value
             value = value + turn * np.round((near - np.median(value)) / turn)
             joint = model.joint(name)
-            if not joint.limited[0] or np.ptp(joint.range) > turn:
+            if not joint.limited[0] or np.ptp(joint.range) > turn * (1 + _ROUNDED):
                 middles.setdefault(number, float(np.median(value)))
             positions[number] = _with(positions[number], value)
         moved.append(replace(recording, positions=positions))
@@ -130,17 +130,21 @@ def wrapping_set_points(
         if joint is None or is_slide(model, joint) or not is_servo(model, name) or drive.wrap:
             continue
         turn = abs(model.actuator(name).gear[0]) * TURN
-        for track in filter(None, tracks):
-            value = track.signal.value
-            jumps = np.flatnonzero(np.abs(np.abs(np.diff(value)) - turn) < _NEARLY * turn)
-            if jumps.size:
-                yield (
-                    f"column {track.column!r} jumps by a turn at "
-                    f"{track.signal.time[jumps[0] + 1]:.6g} s ({jumps.size} times in all); if its "
-                    f"set-points wrap around, give actuators.{name}.wrap, and joints.{joint}.wrap "
-                    "as well: the size of a turn in the joint's readings, also if these go on"
-                )
-                break
+        known = [track for track in tracks if track is not None]
+        jumps = [time for track in known for time in _jumps(track, turn)]
+        if jumps:
+            yield (
+                f"column {known[0].column!r} jumps by a turn at {jumps[0]:.6g} s ({len(jumps)} "
+                f"times in all); if its set-points wrap around, give actuators.{name}.wrap, and "
+                f"joints.{joint}.wrap as well: the size of a turn in the joint's readings, also if "
+                "these go on"
+            )
+
+
+def _jumps(track: Track, turn: float) -> list[float]:
+    """Times of steps by about a turn."""
+    steps = np.abs(np.diff(track.signal.value))
+    return track.signal.time[1:][np.abs(steps - turn) < _NEARLY * turn].tolist()
 
 
 def unknown_turns(

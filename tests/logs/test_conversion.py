@@ -190,11 +190,11 @@ def two_clocks(robot, given, even, states_arrived, commands_arrived):
 def test_a_bag_of_two_clocks_names_the_columns_of_each(robot, even, given):
     (late,) = two_clocks(robot, given, even, states_arrived=False, commands_arrived=True)
     assert late.startswith(
-        "run.mcap has two clocks: the header.stamp of the messages for 'q1', 'q2', 'dq1', 'dq2', "
+        "run.mcap has two clocks: times of their own for 'q1', 'q2', 'dq1', 'dq2', "
         "and the time of arrival in the bag for 'u'."
     )
     (early,) = two_clocks(robot, given, even, states_arrived=True, commands_arrived=False)
-    assert "messages for 'u', and the time of arrival in the bag for 'q1'" in early
+    assert "own for 'u', and the time of arrival in the bag for 'q1'" in early
     assert not two_clocks(robot, given, even, states_arrived=True, commands_arrived=True)
     assert not two_clocks(robot, given, even, states_arrived=False, commands_arrived=False)
 

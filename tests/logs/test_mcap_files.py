@@ -304,8 +304,8 @@ def test_bytes_are_numbers_and_lists_within_lists_are_listed():
     np.testing.assert_array_equal(log.streams[0].columns["/gripper.data_1"], [200, 201])
     message = {"q": [[0.1, 0.2]], "u": 1.0}
     nested = read_mcap("run.mcap", json_bag(message, message))
-    assert nested.unread == {"/state.q_0": "it is a list within a list"}
-    with pytest.raises(InvalidInput, match=r"'/state\.q_0' has no numbers to read: it is a list"):
+    assert nested.unread == {"/state.q": "it is a list of lists"}
+    with pytest.raises(InvalidInput, match=r"'/state\.q' cannot be read: it is a list of lists"):
         nested.signal("/state.q_0", CLOCK)
 
 

@@ -38,6 +38,18 @@ def test_an_empty_cell_of_lists_is_no_reading_of_any_place(size):
     np.testing.assert_array_equal(log.streams[0].columns["state_1"], [2, np.nan, 4])
 
 
+@pytest.mark.parametrize(
+    ("cells", "unread"),
+    [([[], []], {}), ([None, None], {"state": "all its cells are empty"})],
+    ids=str,
+)
+def test_lists_without_a_number_leave_the_other_columns(cells, unread):
+    state = pa.array(cells, pa.list_(pa.float32()))
+    log = read_parquet("log.parquet", content(pa.table({"t": [0.0, 1.0], "state": state})))
+    assert log.names == ["t"]
+    assert log.unread == unread
+
+
 def test_lists_of_different_lengths_are_listed_as_unread():
     table = pa.table({"t": [0.0, 1.0], "state": [[1.0], [3.0, 4.0]]})
     log = read_parquet("log.parquet", content(table))
@@ -109,6 +121,8 @@ def test_a_lerobot_data_set_names_its_columns_by_joint(lerobot):
     [
         ([["shoulder", "elbow"]], "observation.state.elbow"),
         ({"motors": [["shoulder", "elbow"]]}, "observation.state.elbow"),
+        ({"elbow": 1, "shoulder": 0}, "observation.state.elbow"),
+        ({"left": ["a"], "right": ["b"]}, "observation.state_1"),
         (["shoulder"], "observation.state_1"),  # not as many as places: all are numbered
         (["x", "y", "z"], "observation.state_1"),
         (None, "observation.state_1"),

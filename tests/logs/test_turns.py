@@ -122,9 +122,11 @@ def test_readings_that_wrap_after_whole_turns_of_a_hinge_are_put_next_to_its_mid
 
 
 @pytest.mark.parametrize("sides", [(-1, 1), (1, -1)])
-def test_recordings_at_both_ends_of_a_joints_range_stay_within_it(even, sides):
+@pytest.mark.parametrize("most", [175, 180.0002])
+def test_recordings_at_both_ends_of_a_joints_range_stay_within_it(even, sides, most):
     """The second one was put next to the first, beyond the joint's limit."""
-    limited = XML.replace('name="shoulder"', 'name="shoulder" range="-175 175" limited="true"')
+    limits = f'range="-{most} {most}" limited="true"'
+    limited = XML.replace('name="shoulder"', f'name="shoulder" {limits}')
     logs = []
     for number, side in enumerate(sides):
         swing = side * np.radians(140) + 0.4 * even["q1"]
@@ -189,8 +191,20 @@ def test_a_single_outlier_is_no_turn(robot, even, given):
     spiked = {**even, "q1": np.where(even["time"] == even["time"][2000], 30.0, even["q1"])}
     warnings = convert([log(spiked)], given, robot).warnings
     assert not warned(warnings, "column 'q1' jumps")
-    (warning,) = warned(warnings, "column 'q1' has 1 single readings far off both neighbours")
-    assert f"the first at {even['time'][2000]:.6g} s" in warning
+    (warning,) = warned(warnings, "column 'q1' is far off the readings before and after")
+    assert f"agree, 1 times, first at {even['time'][2000]:.6g} s" in warning
+
+
+@pytest.mark.parametrize("kind", ["noisy", "coarse", "mostly at rest"])
+def test_noise_and_steps_of_a_coarse_sensor_are_no_outliers(robot, even, given, kind):
+    noise = np.random.default_rng(0).standard_normal(len(even["time"]))
+    columns = {
+        "noisy": {"dq1": even["dq1"] + 0.5 * noise},
+        "coarse": {"dq1": np.round(even["dq1"] + 0.3 * noise)},
+        "mostly at rest": {"q2": np.where(even["time"] > 18, 0.02, 1e-3 * noise), "dq2": noise},
+    }[kind]
+    converted = convert([log({**even, **columns})], given, robot)
+    assert not [each for each in converted.warnings if "far off the readings" in each]
 
 
 def test_set_points_behind_a_gear_are_put_next_to_the_turns_of_their_drive(even):
