@@ -41,6 +41,7 @@ from adr_service.tasks.catalogue import get_task, variant_of
 from adr_service.whole_files import written_whole
 from api.cli.files import check_writable, naming, read, read_text
 
+_ROUNDED = 1e-3  # of a joint's range, to which messages round it
 T = TypeVar("T")
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
 Pose = Mapping[int, float]  # positions [rad or m] by number of a joint
@@ -235,12 +236,8 @@ def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     names = joints_of(model)
     given = _once("reach", [_bounds("reach", "joint", text, names) for text in texts], names)
     for number, bounds in given.items():
-        low, high = _range_of(model, names[number])
-        if bounds[0] < low or bounds[1] > high:
-            raise InvalidInput(
-                f"--reach {names[number]}={bounds[0]:g}:{bounds[1]:g}: the joint may be at "
-                f"{low:.4g} to {high:.4g} {_unit(model, names[number])}"
-            )
+        for position in bounds:
+            _check_position("reach", names[number], position, model)
     return given
 
 
@@ -259,19 +256,23 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
             raise InvalidInput(
                 f"--start {text!r} is not NAME=POSITION, as in {names[0]}=0.5"
             ) from error
-        low, high = _range_of(model, name)
-        if not (np.isfinite(position) and low <= position <= high):
-            raise InvalidInput(
-                f"--start {text!r}: {name} may be at {low:.4g} to {high:.4g} {_unit(model, name)}"
-            )
+        if not np.isfinite(position):
+            raise InvalidInput(f"--start {text!r} is not finite; needed is a position of {name}")
+        _check_position("start", name, position, model)
         pose.append((names.index(name), position))
     return _once("start", pose, names)
 
 
-def _range_of(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
-    """The least and the largest position of a joint; infinite without limits."""
-    limits = model.joint(joint)
-    return tuple(limits.range) if limits.limited[0] else (-np.inf, np.inf)
+def _check_position(option: str, name: str, position: float, model: mujoco.MjModel) -> None:
+    """Raises InvalidInput for a position beyond a joint's range, to within its last digits."""
+    joint = model.joint(name)
+    low, high = joint.range
+    slack = _ROUNDED * (high - low)
+    if joint.limited[0] and not low - slack <= position <= high + slack:
+        raise InvalidInput(
+            f"--{option} {name}: given {position:g}; the joint may be at {low:.4g} to {high:.4g} "
+            f"{_unit(model, name)}"
+        )
 
 
 def _unit(model: mujoco.MjModel, joint: str) -> str:

@@ -104,7 +104,8 @@ def test_a_reach_beyond_the_joints_range_is_refused_with_its_unit(model):
     nominal, _ = nominal_of(None, None, model, [])
     assert reach_of(["elbow=-1:1.5"], nominal) == {1: (-1.0, 1.5)}
     low, high = nominal.model(nominal.start).joint("elbow").range
-    message = f"elbow=-90:90: the joint may be at {low:.4g} to {high:.4g} rad$"
+    assert reach_of([f"elbow={low:.4g}:{high:.4g}"], nominal)  # as the message has them
+    message = f"--reach elbow: given -90; the joint may be at {low:.4g} to {high:.4g} rad$"
     with pytest.raises(InvalidInput, match=message):
         reach_of(["elbow=-90:90"], nominal)
 
