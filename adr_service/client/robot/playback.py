@@ -31,7 +31,7 @@ class Playback:
     measurement: Measurement
     limited: int  # commands that the owner's limit changed; the measurement has what was sent
     shortened: tuple[str, ...]  # why episodes ended before all their commands
-    slow: str  # a remark if commands came much more slowly than the measurement says
+    slow: str  # a remark if commands came more slowly than the measurement says
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,8 @@ def _check_start(task: Task, shown: Vector, start: Vector) -> None:
         raise InvalidInput(
             f"the plan begins at {np.round(start, 3).tolist()}, and the robot is at "
             f"{np.round(pose, 3).tolist()}, from where the plan would move it elsewhere. Put it "
-            "there, or plan from where it is (adr criticise --next, --start)"
+            f"there, to within {_AWAY_RAD:g} rad or {_AWAY_M:g} m, or plan from where it is (adr "
+            "criticise --next, --start)"
         )
 
 

@@ -9,7 +9,7 @@ import pytest
 import adr_service  # noqa: F401, as it registers the environments
 from adr_service.client.robot.environment import RobotFailed
 from adr_service.client.robot.limits import Limits
-from adr_service.client.robot.playback import Player, check_commands
+from adr_service.client.robot.playback import Player, _check_start, check_commands
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
@@ -217,6 +217,25 @@ def test_nothing_is_sent_from_another_pose_than_the_plans(robot):
         play(robot, TASK, Limits(), commands, never, pose + np.array([1.0, 0.0]))
     turned = pose + np.array([2 * np.pi, -2 * np.pi])  # the same pose of joints without limits
     assert len(play(robot, TASK, Limits(), commands, never, turned).measurement.spans()) > 1
+
+
+@pytest.mark.parametrize(
+    ("moved", "is_there"),
+    [((0.04, 0), True), ((0.06, 0), False), ((0, 0.19), True), ((0, 0.21), False)],
+)
+def test_a_slide_is_nearer_to_the_plans_pose_than_a_hinge(moved, is_there):
+    """[m] of Hopper's height, and [rad] of its knee, which has limits."""
+    hopper = get_task("hopper")
+    shown = hopper.initial(1, np.random.default_rng(0)).qpos[0]
+    observation = np.zeros(len(hopper.columns))
+    observation[: len(shown) - 1] = shown[1:]
+    start = hopper.state(observation[None]).qpos[0]
+    start[[1, 3]] += moved
+    if is_there:
+        _check_start(hopper, observation, start)
+    else:
+        with pytest.raises(InvalidInput, match=r"to within 0\.2 rad or 0\.05 m, or plan"):
+            _check_start(hopper, observation, start)
 
 
 @pytest.mark.parametrize("pose", [[0.0, np.nan], [[0.0, 0.0]], ["a", "b"]])
