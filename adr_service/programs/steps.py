@@ -76,7 +76,6 @@ def infer(
     the visits before (`stages.infer.packed`).
     """
     if spec.method.replay_from == "smoothed":
-        assert policy is state is earlier is None, "only offline methods learn from smoothed states"
         return (yield from _infer_from_smoothed(spec, stages, data))
     return (yield from _infer(spec, stages, data, policy, state, earlier))
 

@@ -114,6 +114,11 @@ class RunSpec(Wire):
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
         if self.method.replay_from == "smoothed":
+            if self.method.learns_from != "recordings":
+                raise ValueError(
+                    f"method: {self.method.name} replays from smoothed states, which methods that "
+                    "learn from recordings can do alone"
+                )
             try:
                 check_smoothable(task)
             except AdrError as error:

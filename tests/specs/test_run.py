@@ -117,3 +117,10 @@ def test_values_of_ours_are_as_good_as_their_json():
         assert spec.method == SimOptSettings(updates=2, samples=40)  # the rest is the preset's
     grid = {"tasks": ["arm"], "methods": [SimOptSettings(samples=40)], "preset": "smoke"}
     assert BenchmarkSpec.model_validate({**grid, "references": False, "seeds": [0]}).size == 1
+
+
+def test_a_method_that_visits_its_target_cannot_replay_from_smoothed_states(monkeypatch):
+    """As a method of one's own may ask for; it was ignored, with the policy that made the data."""
+    monkeypatch.setattr(SimOptSettings, "replay_from", "smoothed", raising=False)
+    with pytest.raises(ValidationError, match="method: simopt replays from smoothed states"):
+        RunSpec.model_validate(GOOD)
