@@ -66,8 +66,8 @@ class _OnceAMinute(logging.Filter):
         text, now = record.getMessage(), time.monotonic()
         if now - self._shown.get(text, -math.inf) < _QUIET_S:
             return False
-        self._shown = {each: at for each, at in self._shown.items() if now - at < _QUIET_S}
-        self._shown[text] = now
+        shown = list(self._shown.items())  # other threads add to it
+        self._shown = {each: at for each, at in [*shown, (text, now)] if now - at < _QUIET_S}
         return True
 
 

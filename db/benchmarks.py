@@ -246,9 +246,10 @@ def _extended(
     key: RequestKey | None,
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs."""
+    present = runs_of(database, now.id)
     with database.read() as session:
-        check_new(session, key)  # repeated, it would add nothing
-    spec, present = readable(now).extended(extension), runs_of(database, now.id)
+        check_new(session, key)  # last: if it was carried out before `present`, it is known by now
+    spec = readable(now).extended(extension)
     new = _missing(now, spec, present)
     if not new:
         raise InvalidInput(

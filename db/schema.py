@@ -99,7 +99,7 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
             )
         connection.execute(text(f"drop table {table}"))  # a copy that was not finished
     leftover = there.tables & (known.tables - expected.tables)
-    if revision is None:
+    if revision is None and leftover:
         _check_ours(there, leftover)
     for table in sorted(leftover):
         if connection.scalar(text(f"select 1 from {table} limit 1")):  # noqa: S608 - our own names

@@ -62,7 +62,11 @@ class Execution:
 
 
 class Utilisation(Wire):
-    """Core seconds of a window by their use (`USES`), which add up to all that could be had."""
+    """Core seconds of a window by their use, which add up to all that could be had.
+
+    They computed, started processes, prepared stages (imports and compilations), waited within
+    stages for a CPU, or went to orchestration. See the glossary.
+    """
 
     cores: int  # most at a time
     seconds: float  # of the window

@@ -93,9 +93,8 @@ def from_minari(name: str, task: Task) -> TransitionDataset:
         metadata: dict[str, Any] = stored.storage.metadata
         dt = float(metadata.get("adr_dt", control_period(task)))
         columns = tuple(map(str, metadata.get("adr_columns", task.columns[: task.measured])))
-        taken = (
-            "" if "adr_dt" in metadata else f", which says no time step: {dt:g} s, {task.name}'s"
-        )
+        given = "adr_dt" in metadata
+        taken = "" if given else f" (time step not given: {dt:g} s, as {task.name} has)"
         origin = str(metadata.get("adr_origin", f"Minari: {name}{taken}"))
     except InvalidInput:
         raise

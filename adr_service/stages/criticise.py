@@ -42,7 +42,7 @@ class Criticise(Stage[Criticised]):
     """A whole criticism: sharing its parts between runs would not be worth it."""
 
     kind: ClassVar = "criticise"
-    # raised whenever a verdict may change; CHANGELOG.md has the reasons
+    # raised whenever a verdict may change; CHANGELOG.md has what changed since version 11
     version: ClassVar = 25
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

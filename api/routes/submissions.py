@@ -69,7 +69,7 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
 def extend_benchmark(
     service: Service, id: str, extension: BenchmarkExtension, key: str | None
 ) -> None:
-    """Add runs to a benchmark and start them; no others if the key has added them before."""
+    """Add runs to a benchmark and start them; a request with the same key adds them once."""
     given = (service.database, id, extension, _request_key(key, extension, id))
     try:
         check_packages(benchmark_store.planned_extension(*given)[1])

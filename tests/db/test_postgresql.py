@@ -79,6 +79,8 @@ def test_options_of_the_url_apply_to_tables_and_rows(url, postgresql):
     ) as database:
         runs.create_run(database, SPEC)
         assert count(database, "s.runs") == 1
+        with database.read() as session:
+            assert session.scalar(text("show work_mem")) == "5MB"
 
 
 def test_an_absent_server_is_reported_without_the_password():

@@ -125,7 +125,7 @@ def test_a_data_set_in_minaris_own_format_is_read(arm, data):
     found = from_minari("theirs-v0", arm)
     assert found.observations.tolist() == [[i, i + 1, i + 2, i + 3] for i in range(3)]
     assert (found.dt, found.columns) == (0.02, arm.columns)
-    assert found.origin == "Minari: theirs-v0, which says no time step: 0.02 s, arm's"
+    assert found.origin == "Minari: theirs-v0 (time step not given: 0.02 s, as arm has)"
 
 
 def change(folder, **metadata):

@@ -39,7 +39,7 @@ print(search.inputs.get("method_package"))
 # the same of a curriculum
 USE_RAMP = """
 from adr_service.benchmark.plan import plan
-from adr_service.methods.catalogue import method_inputs, methods
+from adr_service.methods.catalogue import methods
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.local import LocalStages
