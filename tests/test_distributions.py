@@ -96,7 +96,7 @@ def test_a_field_that_the_kind_does_not_have_is_refused():
 
 
 @pytest.mark.parametrize("low", [["1", "1"], [True, True]])
-def test_words_are_no_numbers(low):
+def test_texts_and_booleans_are_refused_as_numbers(low):
     with pytest.raises(InvalidInput, match="low must be numbers"):
         distribution_from_json(SPACE, {"kind": "uniform", "low": low, "high": [2.0, 2.0]})
 
@@ -235,6 +235,7 @@ def test_points_are_drawn_by_their_weights():
     ("create", "words"),
     [
         (lambda: Beta(SPACE, np.array([1.0, 0.0]), np.ones(2)), "shapes must be positive"),
+        (lambda: TruncatedGaussian(SPACE, [1.0, 2.0], [0.1, 0.0]), "must be positive"),
         (lambda: Mixture(SPACE, [0.5, 0.6], np.ones((2, 2)), [np.eye(2)] * 2), "of sum 1"),
         (lambda: Mixture(SPACE, [1.0], np.ones((2, 2)), [np.eye(2)] * 2), "given .1,., .2, 2."),
         (lambda: Mixture(SPACE, [1.0], np.ones((1, 2)), [-np.eye(2)]), "semi-definite"),

@@ -242,3 +242,26 @@ def test_bytes_that_are_no_npz_are_refused(content):
 def test_a_member_that_is_no_npy_is_refused():
     with pytest.raises(InvalidInput, match="not a readable"):
         read_arrays(zipped("a.npy", b"not an array"), "a")
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.full(10_001, "x"), "holds 10001 texts; accepted: 10000"),
+        (np.array("a\x1b[2J"), "control characters in its texts"),
+    ],
+    ids=["many", "control"],
+)
+def test_texts_that_no_recording_has_are_refused(array, message):
+    with pytest.raises(InvalidInput, match=message):
+        read_arrays(npz(a=array), "a")
+
+
+def test_a_member_that_comes_twice_is_refused():
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("a.npy", member(a=np.zeros(2)))
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr("a.npy", member(a=np.zeros(2)))
+    with pytest.raises(InvalidInput, match="twice"):
+        read_arrays(buffer.getvalue(), "a")

@@ -132,6 +132,12 @@ def test_a_broken_entry_point_is_named_with_its_error(installed, tmp_path, value
     assert "'broken'" in done.stderr
 
 
+def test_a_task_that_takes_one_of_our_names_is_refused(tmp_path):
+    add_entry_point(tmp_path, "adr_service.tasks", "adr_service.tasks.hopper:ENTRY", name="hopper")
+    done = python("from adr_service.tasks.catalogue import get_task; get_task('arm')", tmp_path)
+    assert "gives a task 'hopper', but there is one already" in done.stderr
+
+
 @pytest.mark.slow
 def test_a_newer_version_shows_no_distributions_of_an_older_one_and_computes_none_of_its_stages(
     installed, tmp_path

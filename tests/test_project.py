@@ -101,7 +101,7 @@ class TestCompose:
         mounted = [name for name, given in volumes.items() if "data:/data" in given]
         assert mounted == ["api"]
 
-    def test_who_watches_comes_only_when_asked_for_and_knows_every_node(self, compose):
+    def test_monitoring_is_a_profile_and_scrapes_every_node(self, compose):
         for name, service in compose["services"].items():
             assert service.get("profiles", []) == ([] if name in NODES else ["monitoring"])
         given = yaml.safe_load(compose["configs"]["prometheus"]["content"])

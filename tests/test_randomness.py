@@ -26,10 +26,5 @@ def test_the_numbers_of_a_stream_stay_those_of_earlier_versions():
     assert integer_seed(stream("a")) == SEED_OF_A
 
 
-def test_a_stream_is_uniform():
-    draws = stream("uniform").random(100_000)
-    assert draws.mean() == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 100_000))
-
-
 def test_an_integer_seed_fits_into_31_bits():
     assert all(0 < integer_seed(stream("seed", i)) < 2**31 for i in range(1000))

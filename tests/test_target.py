@@ -1,10 +1,10 @@
 import pytest
 
 from adr_service.errors import BudgetExceeded
-from adr_service.stages.local import LocalStages, drained
+from adr_service.stages.local import drained
 from adr_service.target import Target, open_target
 from tests.contracts.canned import CannedStages
-from tests.programs.smoke import executed, iterations, smoke
+from tests.programs.smoke import smoke
 
 
 def test_a_target_counts_and_refuses_a_rollout_over_the_budget():
@@ -31,8 +31,11 @@ def test_a_robots_episodes_belong_to_its_run_and_evaluations_are_single_episodes
     drained(target.rollout(b"policy", 0))
     evaluations = drained(target.evaluate([b"one", b"two"]))
     assert [len(evaluation.returns) for evaluation in evaluations] == [5, 5]
+    assert evaluations[0] != evaluations[1]
+    alone = [drained(target.evaluate([policy]))[0] for policy in (b"one", b"two")]
+    assert evaluations == alone
     assert {kind for kind, _ in stages.asked} == {"target_episode"}
-    assert len(stages.asked) == 11
+    assert len(stages.asked) == 1 + 2 * 10
 
 
 def test_two_runs_share_simulated_visits_and_no_robots_visits():
@@ -45,14 +48,6 @@ def test_two_runs_share_simulated_visits_and_no_robots_visits():
     assert digests("run_1") == digests("run_2")
     outside = {"target": {"kind": "external"}}
     assert digests("run_1", **outside) != digests("run_2", **outside)
-
-
-def test_offline_methods_add_no_visit_to_simopts():
-    stages = LocalStages()
-    for method in ("simopt", "dropo"):
-        events = iterations(smoke(method, iterations=2), stages)
-        assert [event.target_transitions for event in events] == [0, 20, 40]
-    assert len(executed(stages, "target_rollout")) == 2
 
 
 def opened(spec) -> tuple[Target, CannedStages]:

@@ -237,6 +237,10 @@ def test_dropos_own_files_are_read(tmp_path):
     columns = ("a [m]", "b [m]")
     data = TransitionDataset.from_npy(tmp_path / "x", dt=0.1, columns=columns, origin="here")
     assert (len(data), data.dt, data.columns, data.origin) == (4, 0.1, columns, "here")
+    for name in ("observations", "actions", "next_observations"):
+        np.testing.assert_array_equal(getattr(data, name), GOOD[name])
+    assert not np.array_equal(data.observations, data.next_observations)
+    assert data.episodes.tolist() == [0, 0, 1, 1]
     (tmp_path / "x_actions.npy").write_bytes(b"")  # as on a full disk
     with pytest.raises(InvalidInput, match="cannot be read"):
         TransitionDataset.from_npy(tmp_path / "x", dt=0.1, columns=columns, origin="here")

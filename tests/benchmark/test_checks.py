@@ -138,7 +138,7 @@ def test_a_seed_that_has_just_begun_leaves_the_others_judged():
     assert with_begun.supports == check(Measured(found)).supports < 0.001
 
 
-def test_what_has_no_seed_in_common_is_said():
+def test_cells_without_a_common_seed_are_named_as_not_measured():
     cells = [Cell("walker2d", "vanilla", "droid", number) for number in (1, 2)]
     apart = [
         o

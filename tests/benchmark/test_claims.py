@@ -407,8 +407,9 @@ def test_a_cost_that_is_judged_in_part_is_no_test():
     [
         {"target": {"kind": "simulated", "effects": [FRICTION]}},
         {"extension": [FRICTION]},
+        {"target": {"kind": "external"}},
     ],
 )
-def test_runs_with_effects_that_the_papers_tasks_lack_are_not_judged(given):
+def test_runs_on_other_targets_or_simulators_than_the_papers_are_not_judged(given):
     assert reports([outcome(1.0, **given)]) == []
     assert reports([outcome(1.0)])

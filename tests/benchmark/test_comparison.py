@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from adr_service.benchmark.comparison import (
     comparisons,
@@ -248,6 +249,9 @@ def test_the_width_of_a_belief_is_the_root_of_its_mean_variance():
     event = run.iteration.model_copy(update={"distributions": [belief.to_json()]})
     (row,) = table([replace(run, iteration=event)])
     assert row.posterior_std == pytest.approx(np.sqrt(variances.mean()))
+    found = estimates([replace(run, iteration=event)])
+    assert [each.mean for each in found] == pytest.approx(belief.mean)
+    assert [each.std for each in found] == pytest.approx(belief.std)
 
 
 def test_a_belief_that_excludes_the_truth_has_no_score():
@@ -258,3 +262,27 @@ def test_a_belief_that_excludes_the_truth_has_no_score():
     event = run.iteration.model_copy(update={"distributions": [wrong.to_json()]})
     (row,) = table([replace(run, iteration=event)])
     assert row.log_score is None
+
+
+def test_a_row_has_students_interval_over_its_seeds_and_the_share_that_reached_the_threshold():
+    earned = np.array([0.2, 0.4, 0.9])
+    runs = [at_level(level, seed=seed, spread=0.0) for seed, level in enumerate(earned)]
+    missed = runs[0].iteration.model_copy(update={"reached_threshold": [False]})
+    (row,) = table([replace(runs[0], iteration=missed), *runs[1:]])
+    reach = student.isf(0.025, 2) * earned.std(ddof=1) / np.sqrt(3)
+    expected = (earned.mean(), earned.mean() - reach, earned.mean() + reach)
+    assert (row.normalised_return, row.low, row.high) == pytest.approx(expected)
+    assert row.reached_threshold == pytest.approx(2 / 3)
+
+
+def test_a_robots_run_has_no_distance_from_a_truth():
+    (row,) = table([at_level(1.0, target={"kind": "external"})])
+    assert (row.estimation_error, row.log_score, row.energy_score) == (None, None, None)
+    assert row.posterior_std is not None
+
+
+def test_methods_that_reported_the_same_policies_are_equal_for_certain():
+    ours = [at_level(1.0, method="simopt", seed=seed) for seed in range(5)]
+    same = [replace(o, spec=at_level(1.0, method="dropo", seed=o.spec.seed).spec) for o in ours]
+    (pair,) = comparisons([*ours, *same])
+    assert (pair.low, pair.probability, pair.high) == (0.5, 0.5, 0.5)

@@ -44,6 +44,12 @@ def test_the_csv_of_a_figure_has_the_numbers_it_draws(benchmark):
     assert {row["parameter"] for row in drawn} == set(source_of("arm", "vanilla").space.names)
 
 
+def test_the_collection_has_all_collectors_of_the_methods_that_were_studied(benchmark):
+    drawn = list(csv.DictReader(io.StringIO(draw("collection", benchmark[2], "csv").decode())))
+    assert {row["method"] for row in drawn} == {"droid", "dropo", "sysid"}
+    assert {row["collector"] for row in drawn} == {"simopt", "prior", "random"}
+
+
 def test_a_variant_in_which_others_collected_has_no_figure_of_the_protocol(benchmark):
     """A running benchmark may have these first."""
     both = [o for o in benchmark[2] if o.spec.variant == "vanilla" or o.spec.collector != "simopt"]

@@ -160,6 +160,9 @@ def test_a_profile_has_bands_of_a_few_methods(count, bands):
     figure = plot_profile(points)
     assert len(figure.axes[0].collections) == bands
     assert ("no bands" in figure.get_supxlabel()) == (bands == 0)
+    assert all(
+        line.get_ydata() == pytest.approx([1.0, 0.5]) for line in figure.axes[0].lines[:count]
+    )
 
 
 def test_the_collection_has_a_line_per_collector():

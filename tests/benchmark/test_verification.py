@@ -112,6 +112,8 @@ def test_a_sample_has_different_stages_and_follows_the_seed():
     one, two = (sampled(twice, 3, stream("test"), lambda stage: True) for _ in range(2))
     assert [s.digest for s in one] == [s.digest for s in two]
     assert len({s.digest for s in one}) == 3
+    others = [sampled(twice, 3, stream("test", n), lambda stage: True) for n in range(20)]
+    assert len({frozenset(stage.digest for stage in each) for each in others}) > 5
     everything = sampled(twice, 100, stream("test"), lambda stage: True)
     assert {s.digest for s in everything} == {s.digest for s in replay.stages}
     kinds = {s.kind for s in sampled(twice, 100, stream("test"), lambda s: s.role != "trainer")}
@@ -162,7 +164,7 @@ def test_an_event_of_an_early_version_lacks_fields_and_is_no_other():
     assert replay.disagreements({**replay.events, early.key: other}) == [early.key]
 
 
-def test_points_of_a_learning_curve_are_the_results_own_business():
+def test_stored_points_of_a_learning_curve_are_not_compared():
     """A training may have been interrupted, and repeated on another type of CPU."""
     replay = replay_run("run_a", SPEC, all_results().get)
     key = next(key for key in replay.events if key.startswith("training_evaluated"))

@@ -124,7 +124,7 @@ def listed():
 
 
 def events():
-    """The events of one run of each shape, as they are stored."""
+    """The events of one run of four programs, as they are stored."""
     small = {"task": "arm", "preset": "smoke", "training": BACKENDS}
     given = [{**small, "method": method} for method in ("bayrn", "simopt", "dropo")]
     found = [asked(RunSpec.model_validate(each))[1] for each in given]

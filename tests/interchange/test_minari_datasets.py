@@ -101,7 +101,9 @@ def test_a_hostile_data_set_runs_no_code(arm, data, tmp_path, space):
     assert not ran.exists()
 
 
-def test_a_data_set_that_belittles_itself_is_refused(arm, data, tmp_path, monkeypatch):
+def test_a_data_set_with_more_numbers_than_its_metadata_claim_is_refused(
+    arm, data, tmp_path, monkeypatch
+):
     monkeypatch.setattr("adr_service.interchange.minari_datasets._MOST_NUMBERS", data.actions.size)
     to_minari(data, arm, NAME)
     change(tmp_path, total_steps=1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import onnxruntime
+import pytest
 
 from adr_service.interchange.onnx_policies import to_onnx
 
@@ -41,7 +42,8 @@ def test_the_file_says_what_its_columns_are(policy, task):
     assert json.loads(about["observation_columns"]) == list(task.columns)
     assert len(json.loads(about["action_columns"])) == len(task.action_low)
     assert all(json.loads(about["action_columns"]))
-    assert json.loads(about["control_period_s"]) > 0
+    period = {"arm": 0.02, "humanoid": 0.015}[task.name]
+    assert json.loads(about["control_period_s"]) == pytest.approx(period)
     assert about["run"] == "run_1"
 
 

@@ -56,14 +56,14 @@ def test_the_box_grows_to_the_search_bounds_where_the_policy_always_earns_enough
 
 
 def test_a_bound_moves_once_its_buffer_is_full():
-    curriculum = AutoDrSettings(buffer=20, step=0.1).create(PROBLEM)
+    curriculum = AutoDrSettings(buffer=7, step=0.1).create(PROBLEM)
     middle = (SPACE.low + SPACE.high) / 2
     solved = np.full(64, 10 * THRESHOLD)
     curriculum.move(np.tile(middle, (64, 1)), solved)  # the first box is solved
     before = bounds(curriculum)
     at_bound = middle.copy()
     at_bound[0] = curriculum.distribution.high[0]
-    curriculum.move(np.tile(at_bound, (19, 1)), solved[:19])
+    curriculum.move(np.tile(at_bound, (6, 1)), solved[:6])
     np.testing.assert_array_equal(bounds(curriculum), before)
     curriculum.move(at_bound[None], solved[:1])
     assert bounds(curriculum)[1, 0] > before[1, 0]

@@ -145,3 +145,19 @@ def test_an_episode_succeeds_from_the_share_of_the_threshold_that_is_set(success
     dynamics = curriculum.sample(64, np.random.default_rng(0)).values
     curriculum.move(dynamics, np.full(64, 0.5 * THRESHOLD))
     assert np.all(curriculum.distribution.std > before) == widens
+
+
+@pytest.mark.parametrize("kl", [0.01, 0.2])
+def test_the_first_move_of_a_solved_start_uses_up_the_divergence_that_is_set(kl):
+    before, after = run(lambda share: np.ones(len(share), bool), moves=1, kl=kl)
+    assert divergence(shapes(before), shapes(after))[0] == pytest.approx(kl, rel=0.01)
+
+
+def test_a_lower_success_rate_moves_where_the_default_does_not():
+    def succeeds(share):
+        return share[:, 0] < 0.48
+
+    before, after = run(succeeds, moves=1, success_rate=0.2)
+    assert entropy(shapes(after))[0] > entropy(shapes(before))[0] + 0.01
+    before, after = run(succeeds, moves=1)
+    assert entropy(shapes(after))[0] < entropy(shapes(before))[0] + 0.01

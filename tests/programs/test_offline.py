@@ -12,7 +12,8 @@ def test_offline_methods_learn_from_simopts_trajectories():
     stages = LocalStages()
     iterations(smoke("simopt", iterations=2), stages)
     before = len(executed(stages, "target_rollout"))
-    iterations(smoke("dropo", iterations=2), stages)
+    events = iterations(smoke("dropo", iterations=2), stages)
+    assert [event.target_transitions for event in events] == [0, 20, 40]
     assert len(executed(stages, "target_rollout")) == before == 2
 
 

@@ -5,7 +5,7 @@ import pytest
 from adr_service.errors import InvalidInput
 from adr_service.programs import run
 from adr_service.stages.local import LocalStages
-from adr_service.transitions import dataset_id
+from adr_service.transitions import TransitionDataset, dataset_id
 from tests.programs.smoke import smoke
 from tests.recordings import recording
 
@@ -35,6 +35,12 @@ def test_a_recording_that_is_not_the_named_one_is_refused():
 def test_more_episodes_than_there_are_cannot_be_asked_for():
     with pytest.raises(InvalidInput, match="has 1 episodes; asked for the first 2"):
         list(run(spec(episodes=2), LocalStages(), RECORDED))
+
+
+def test_only_the_first_episodes_that_are_asked_for_are_learned_from():
+    two = TransitionDataset.concatenate([recording("arm", 30), recording("arm", 20)]).to_npz()
+    *_, event = run(spec(two, episodes=1), LocalStages(), two)
+    assert (event.target_rollouts, event.target_transitions) == (1, 30)
 
 
 def test_states_with_two_readings_are_refused_before_anything_is_computed():

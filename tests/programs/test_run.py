@@ -1,19 +1,12 @@
 """All programs: the same numbers every time, interrupted or not."""
 
 import itertools
-from importlib import import_module
 
 import pytest
 
-from adr_service.methods.catalogue import methods
 from adr_service.programs import run
 from adr_service.stages.local import LocalStages
 from tests.programs.smoke import iterations, smoke
-
-
-@pytest.mark.parametrize("name", methods())
-def test_the_settings_of_a_method_name_a_program(name):
-    assert callable(import_module(methods()[name].program).run)
 
 
 @pytest.mark.anew

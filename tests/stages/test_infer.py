@@ -76,6 +76,12 @@ def test_more_data_cost_more():
     assert longer.cost(Speed()).seconds > OFFLINE.cost(Speed()).seconds
 
 
+def test_earlier_visits_cost_as_much_as_the_last():
+    seen = packed([(ONLINE.policy, recorded(waving_policy(), steps=20))])
+    once, twice = (stage.cost(Speed()).seconds for stage in (ONLINE, replace(ONLINE, earlier=seen)))
+    assert twice == pytest.approx(2 * once)
+
+
 def test_a_stand_in_has_a_state_only_after_a_state():
     assert OFFLINE.stand_in().state is None
     assert ONLINE.stand_in().state is not None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 from adr_service.programs.references import prior_training
 from adr_service.specs import RunSpec
@@ -176,3 +177,15 @@ def test_ppos_policy_is_reported_by_fresh_episodes():
     assert result.source_return == result.confirmation.mean_return
     assert result.confirmation not in result.curve
     assert stage.read(result.to_stored()) == result
+
+
+def test_a_training_begins_at_the_networks_that_it_is_started_from():
+    """It learns too slowly to leave them."""
+    first = run(training(**TINY, start="previous"))
+    still = training(**TINY, start="previous", learning_rate=1e-12)
+    again, anew = (run(replace(still, start=start)) for start in (first.networks, None))
+    left, kept, other = (
+        safetensors.numpy.load(each.networks)["actor.mu.weight"] for each in (first, again, anew)
+    )
+    np.testing.assert_allclose(kept, left, atol=1e-6)
+    assert np.abs(other - left).max() > 1e-2

@@ -325,3 +325,9 @@ def test_the_mass_of_what_stands_on_the_ground_is_refused_as_a_parameter():
 def test_a_feasible_minimum_that_cannot_be_simulated_is_refused(address, least, message):
     with pytest.raises(InvalidInput, match=message):
         check_task(arm_with([(address, 1.0, least)], xml=SLIDERS))
+
+
+def test_a_task_without_the_vanilla_variant_is_refused():
+    arm = BUILT_IN["arm"]
+    with pytest.raises(InvalidInput, match=r"no variant 'vanilla'.* it has noisy"):
+        check_task(Entry(arm.task, {"noisy": arm.variants["noisy"]}))

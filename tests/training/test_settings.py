@@ -3,16 +3,33 @@
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from adr_service.training.settings import CrossQSettings, PpoSettings, SacSettings, TrainingSettings
+from adr_service.errors import InvalidInput
+from adr_service.training.settings import (
+    CrossQSettings,
+    PpoSettings,
+    SacSettings,
+    TrainingSettings,
+    check_backend,
+)
 from tests.training.examples import settings
 
 ANY = TypeAdapter(TrainingSettings)
 
 
-def test_defaults_are_valid_and_choose_a_backend_that_is_installed():
+@pytest.mark.parametrize(("found", "backend"), [(None, "sb3"), (object(), "sbx")])
+def test_the_default_backend_is_sbx_where_it_is_installed(monkeypatch, found, backend):
+    monkeypatch.setattr("adr_service.training.settings.find_spec", lambda name: found)
+    assert ANY.validate_python({}).backend == backend
+    if found is None:
+        with pytest.raises(InvalidInput, match=r"adr-service\[fast\]"):
+            check_backend("sbx")
+    else:
+        check_backend("sbx")
+
+
+def test_defaults_are_those_of_the_paper():
     given = ANY.validate_python({})
     assert isinstance(given, SacSettings)
-    assert given.backend in {"sbx", "sb3"}
     assert (given.max_steps, given.environments) == (5_000_000, 12)
     assert given.hidden == [128, 128]
 

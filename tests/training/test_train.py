@@ -179,6 +179,11 @@ class TestStop:
         assert training.steps == 240
         assert training.reached_threshold
 
+    def test_a_training_goes_on_beyond_the_threshold_if_asked_to(self, algorithm, backend):
+        easy = type(ARM)(reward_threshold=0.01)
+        training = trained(algorithm, backend, task=easy, stop_at_threshold=False)
+        assert (training.steps, training.reached_threshold) == (480, True)
+
     def test_a_training_stops_when_its_progress_raises_a_cancellation(self, algorithm, backend):
         def stop(fraction, **facts):
             if fraction > 0.3:
@@ -220,3 +225,22 @@ def test_a_distribution_over_the_parameters_in_another_order_is_refused():
     turned = Gaussian.prior(PRIOR.space.subset(PRIOR.space.names[::-1]))
     with pytest.raises(InvalidInput, match="the distribution to train on is over elbow_friction, "):
         train(ARM, VANILLA.source, turned, settings("sac"), stream("one"))
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "given"),
+    [
+        ("sac", {"gamma": 0.9, "tau": 0.2, "gradient_steps": 3, "learning_starts": 50}),
+        ("crossq", {"gamma": 0.9, "policy_delay": 5, "gradient_steps": 3, "learning_starts": 50}),
+        ("ppo", {"gamma": 0.9, "gae_lambda": 0.8, "batch_size": 48, "clip_range": 0.3}),
+        ("ppo", {"entropy_coefficient": 0.03, "epochs": 3}),
+    ],
+)
+def test_every_setting_reaches_the_library(algorithm, given):
+    env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+    model = LIBRARIES[algorithm]["sb3"].build(env, ARM, settings(algorithm, **given), seed=1)
+    names = {"entropy_coefficient": "ent_coef", "epochs": "n_epochs"}
+    found = {name: getattr(model, names.get(name, name)) for name in given}
+    assert {name: f(1.0) if callable(f) else f for name, f in found.items()} == given
+    if algorithm == "sac":
+        assert model.lr_schedule(1.0) == ARM.learning_rate  # by default the task's own
