@@ -10,7 +10,7 @@ from db.staging import PREFIX
 
 log = logging.getLogger(__name__)
 # names, or how they begin, by which a data folder is known
-_OWN_FILES = ("adr.sqlite", "ray", "service.log", "compile_cache", PREFIX)
+_OWN_FILES = ("adr.sqlite", "ray", "service.log", "compile_cache", "films", PREFIX)
 
 
 def prepare_folder(data_dir: Path) -> None:

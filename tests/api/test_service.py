@@ -100,7 +100,7 @@ def test_a_folder_of_others_is_not_closed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "files", [[], ["adr.sqlite", "letter.txt"], ["ray_token"], ["service.log"]]
+    "files", [[], ["adr.sqlite", "letter.txt"], ["ray_token"], ["service.log"], ["films"]]
 )
 def test_an_empty_folder_and_one_of_the_service_are_closed(tmp_path, files):
     for name in files:
