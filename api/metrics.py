@@ -42,6 +42,11 @@ class _Now(Collector):
         yield from _working(self._service.orchestrator.activities())
         yield GaugeMetricFamily("adr_cores", "Of the cluster.", self._service.orchestrator.cores)
         yield GaugeMetricFamily(
+            "adr_dispatcher_silent_seconds",
+            "For which it has waited for Ray, or for the database to write.",
+            self._service.orchestrator.silent_s,
+        )
+        yield GaugeMetricFamily(
             "adr_database_read_seconds", "How long counting all this took.", read_s
         )
         yield GaugeMetricFamily(
