@@ -86,7 +86,7 @@ def checks(url: str | None) -> Iterator[Check]:
         yield Check(True, f"data in {settings.data_dir.absolute()}, {at}")
         for doubt in too_many_cores(settings):
             yield Check(False, doubt, is_needed=False)
-        yield from map(_disk, folders)
+        yield from (_disk(folder, settings.disk_floor_mb / 1000) for folder in folders)
     yield _descriptors(None if settings is None else settings.max_connections)
     yield _running(url)
     yield _datasets(os.environ.get("ADR_DATASETS", ""))
@@ -141,12 +141,16 @@ def _fast_backend(is_installed: bool) -> Check:
     return Check(is_installed, text, is_needed=False)
 
 
-def _disk(folder: Path) -> Check:
-    """Check the disk of a folder that the service writes to, or will make."""
+def _disk(folder: Path, floor_gb: float) -> Check:
+    """Check the disk of a folder that the service writes to, or will make.
+
+    Below `floor_gb` the service refuses work.
+    """
+    needed = max(_LEAST_DISK_GB, floor_gb)
     there = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(there).free / 1e9
-    text = f"{free:.1f} GB free for {folder}; {_LEAST_DISK_GB:.0f} needed"
-    return Check(free >= _LEAST_DISK_GB, text)
+    text = f"{free:.1f} GB free for {folder}; {needed:.3g} needed"
+    return Check(free >= needed, text)
 
 
 def _descriptors(max_connections: int | None) -> Check:
