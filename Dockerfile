@@ -17,9 +17,10 @@ RUN apt-get update \
  && mkdir /data && chown adr /data
 
 WORKDIR /app
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY constraints.txt ./
 # The CPU build of PyTorch; the default index would pull gigabytes of CUDA.
 RUN pip install --constraint constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu torch==2.13.0
+COPY pyproject.toml README.md LICENSE ./
 COPY adr_service adr_service
 COPY workers workers
 COPY db db
@@ -28,6 +29,6 @@ RUN pip install --constraint constraints.txt ".[fast,postgresql,sbi]"
 
 USER adr
 ENV ADR_DATA_DIR=/data
-VOLUME /data
 EXPOSE 8000 8265
-CMD ["adr", "serve"]
+# 127.0.0.1 would be the container's own; this address demands ADR_TOKEN
+CMD ["adr", "serve", "--host", "0.0.0.0"]

@@ -94,6 +94,8 @@ class TestCompose:
         names = {name.removeprefix("ADR_").lower() for name in given if name.startswith("ADR_")}
         assert names == set(Settings.model_fields) - others
         fixed = {"token", "ray_address", "ray_dashboard_url", "data_dir", "log_format"}
+        fixed.add("allowed_hosts")  # where it has names, Prometheus' own is one of them
+        assert given["ADR_ALLOWED_HOSTS"] == "${ADR_ALLOWED_HOSTS:+$ADR_ALLOWED_HOSTS,api}"
         assert {n for n in names if given[f"ADR_{n.upper()}"] is None} == names - fixed
 
     def test_results_live_in_a_volume_of_the_api_alone(self, compose):
