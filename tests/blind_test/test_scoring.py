@@ -115,6 +115,24 @@ def test_a_case_without_an_answer_is_wrong_in_every_line():
     assert all(text.startswith("0 of ") for text in shares)
 
 
+@pytest.mark.parametrize(
+    ("value", "low", "high", "covers"),
+    [
+        (-0.12, -0.13, -0.11, True),
+        (-0.12, -0.13, None, True),
+        (-0.105, -0.11, -0.1, False),
+        (-0.105, None, -0.1, True),
+        (-0.105, -0.11, None, False),
+        (-0.14, -0.15, -0.13, False),
+        (-0.14, None, -0.13, False),
+    ],
+)
+def test_an_interval_covers_the_truth_between_its_ends(value, low, high, covers):
+    """Without an end it is open on that side; the truth is -.12."""
+    case = Marked(hidden(), answer(named(BIAS, value, low=low, high=high)))
+    assert errors_of(case)[1] is covers
+
+
 def test_answers_are_scored_by_kind_and_ratio():
     cases = [
         Marked(hidden(ratio=0.3), answer(named(BIAS, -0.132, low=-0.14, high=-0.11))),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from adr_service.criticism.decision import (
     ALIKE,
@@ -45,7 +46,7 @@ def test_what_few_episodes_show_clearly_is_evidence():
     assert decided([gains]).alike == (0,)
 
 
-def test_no_candidate_at_all_is_none():
+def test_without_candidates_nothing_is_named():
     assert not decided(np.empty((0, 20))).alike
 
 
@@ -123,3 +124,10 @@ def test_the_least_evident_strength_is_just_evidence(information):
 
 def test_no_strength_is_evidence_where_only_two_episodes_would_show_it():
     assert np.isinf(least_evident(np.array([50.0, 40.0, *np.zeros(18)])))
+
+
+def test_confidence_is_against_the_gain_of_chance_and_unsure_where_episodes_disagree():
+    just = decided([np.full(20, (THRESHOLD + 1) / 20)]).confidence
+    np.testing.assert_allclose(just, [expit(1), expit(-1)], rtol=1e-6)
+    apart = np.tile([9.0, -9.0], 10)  # 6 nats of difference, with an error of 80
+    assert 0.3 < decided([5 + apart, 5.3 - apart]).confidence[1] < 0.7

@@ -10,8 +10,8 @@ from adr_service.criticism.excitation import excitation
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
-from adr_service.effects.models import typical_of
 from adr_service.parameters import ParameterSpace
+from tests.effects.conftest import PLAIN
 from tests.hidden import arm, recorded
 from tests.logs.conftest import XML
 
@@ -40,16 +40,30 @@ def _fixed(nominal):
     return replace(nominal, space=ParameterSpace(()), start=np.empty(0))
 
 
-def test_an_effect_twice_as_large_gains_four_times_as_much(found):
-    """So the smallest visible size is where it gains the threshold of 25 nats."""
+def test_nats_are_half_the_squares_of_a_response_in_errors_of_differences():
+    """A cart of 2 kg, pushed for 2 ms in each of 110 transitions."""
+    rows = np.arange(120)
+    data = Measurement(
+        time=0.002 * rows,
+        qpos=np.zeros((120, 1)),
+        qvel=np.where(rows % 2, 1.0, -1.0)[:, None],
+        ctrl=np.zeros((120, 1)),
+        episode=rows // 12,
+    )
+    with Simulator(Nominal.of_model(PLAIN, ParameterSpace(())), data, threads=1) as simulator:
+        each = excitation(simulator, np.array([1e-6, 1e-3]))
+    (push,) = (effect for effect in each if effect.kind == "actuator_bias")
+    faster = push.sensible * 0.002 / 2  # [m/s]
+    of_both = (faster / (np.sqrt(2) * 1e-3)) ** 2
+    of_both += (0.002 * faster / np.hypot(np.sqrt(2) * 1e-6, 0.002 * 1e-3)) ** 2
+    assert push.nats == pytest.approx(110 * of_both / 2, rel=1e-6)
+
+
+def test_the_smallest_visible_size_is_where_an_effect_gains_the_threshold(found):
+    """Twice as large, it gains four times as much."""
     each = found["joint_viscous_friction", "joint:elbow"]
     assert each.is_shown
-    assert each.nats * (each.visible / _typical(each)) ** 2 == pytest.approx(25)
-
-
-def _typical(each):
-    nominal = arm()[1]
-    return typical_of(nominal.model(nominal.start), each.kind, each.location)[0]
+    assert each.nats * (each.visible / each.sensible) ** 2 == pytest.approx(25)
 
 
 def test_a_longer_recording_shows_smaller_effects(clean, found):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.criticism import measurements
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
@@ -201,3 +202,15 @@ def test_recordings_that_do_not_fit_together_are_refused(good, change, message):
     other = {**good, **{name: make(good.get(name)) for name, make in change.items()}}
     with pytest.raises(InvalidInput, match=message):
         Measurement.joined([Measurement(**good), Measurement(**other)])
+
+
+def test_too_many_episodes_are_refused(good, monkeypatch):
+    monkeypatch.setattr(measurements, "MOST_EPISODES", 29)
+    with pytest.raises(InvalidInput, match="29 episodes at most; this has 30"):
+        Measurement(**good)
+
+
+def test_a_file_of_texts_is_refused(good):
+    texts = np.array([["a", "b"]] * len(good["time"]))
+    with pytest.raises(InvalidInput, match="qvel must hold numbers"):
+        Measurement.from_npz(write_arrays({**good, "qvel": texts}))

@@ -10,6 +10,9 @@ from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.motions import drawn
 from adr_service.criticism.next_recording import (
+    _best,
+    _Comparison,
+    _Squares,
     _summed,
     check_limits,
     next_recording,
@@ -214,3 +217,17 @@ def test_limits_beyond_what_the_actuator_obeys_are_refused(tied):
         InvalidInput, match="shoulder obeys commands from -1 to 1; given are limits"
     ):
         next_recording(tied[2], limits, np.random.default_rng(0))
+
+
+def test_motions_that_separate_most_are_chosen_one_after_the_other():
+    """Each of two pairs by its nats of four motions; the first pair is separated after one."""
+
+    def squares(nats):
+        return _Squares(np.zeros((1, 1)), np.zeros(1), 2.0 * nats)
+
+    pair = tuple(
+        _Comparison(squares(0), [squares(n) for n in nats])
+        for nats in ([1, 90, 0, 50], [0, 0, 80, 0])
+    )
+    assert _best([pair], [0, 1, 2, 3], 3) == [1, 2, 3]
+    assert _best([pair], [0, 2, 3], 1) == [2]

@@ -1,5 +1,7 @@
 """Checks of a measurement by itself."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -12,6 +14,16 @@ from adr_service.errors import InvalidInput
 def test_too_few_episodes_are_refused(good):
     with pytest.raises(InvalidInput, match="in 7 episodes are too few"):
         check_usable(Measurement(**good).episodes(range(7)))
+
+
+@pytest.mark.parametrize(("rows", "is_enough"), [(25, False), (26, True)])
+def test_eight_episodes_need_two_hundred_transitions(good, rows, is_enough):
+    spans = Measurement(**good).spans()[:8]
+    kept = np.concatenate([np.arange(first, first + rows) for first, _ in spans])
+    data = Measurement(**{name: values[kept] for name, values in good.items()})
+    refusal = pytest.raises(InvalidInput, match="192 transitions in 8 episodes are too few")
+    with nullcontext() if is_enough else refusal:
+        check_usable(data)
 
 
 @pytest.mark.parametrize(

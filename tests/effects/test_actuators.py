@@ -32,6 +32,14 @@ def test_a_lag_is_the_mean_of_the_exact_first_order_response():
     assert stepped == pytest.approx(-0.5 + 1.5 * left, rel=1e-6)
 
 
+def test_a_lag_in_ten_times_finer_steps_is_the_same_on_average():
+    """It remembers all commands before, and not the last alone."""
+    lag, constant = get_mechanism("actuator_lag").command, np.array([0.03])
+    fine = Commands(np.repeat(COMMANDS.values, 10, axis=1), 0.001, 1.0)
+    average = lag(fine, constant).reshape(6, 10).mean(axis=1)
+    np.testing.assert_allclose(average, lag(COMMANDS, constant)[0], rtol=1e-9)
+
+
 def test_a_deadband_takes_its_width_from_every_command():
     np.testing.assert_allclose(obeyed("actuator_deadband", 0.3), [[0.7, 0.7, -0.2, 0.0, 0.0, 0.5]])
 

@@ -50,3 +50,8 @@ def test_a_stiffness_in_the_place_of_a_time_constant_is_left_alone(cart):
 def test_margin_adds_and_softness_multiplies(cart, kind, field, expected):
     model = cart(Effect(kind, "geom:skin", (0.5,)), xml=XML)
     assert getattr(model.geom("skin"), field)[0] == pytest.approx(expected)
+
+
+def test_a_margin_is_that_of_a_geoms_pairs_too(cart):
+    model = cart(Effect("contact_margin", "geom:sole", (0.5,)), xml=XML)
+    assert (model.pair_margin[0], model.geom("skin").margin[0]) == (0.5, 0.0)

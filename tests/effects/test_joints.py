@@ -152,6 +152,16 @@ def test_stribeck_friction_is_smaller_at_speed_than_coulomb_friction(moving):
     np.testing.assert_array_less(np.abs(stribeck), before)
 
 
+@pytest.mark.parametrize(("speed", "left"), [(1.0, 3.0), (-2.0, -1.0), (4.0, 0.0)])
+def test_stribeck_friction_falls_with_speed_to_nothing(cart, speed, left):
+    """5 N at rest, less by 2 N for each m/s, on 2 kg."""
+    model = cart(Effect("joint_stribeck_friction", "joint:x", (5.0, 2.0)))
+    data = mujoco.MjData(model)
+    data.qvel[0] = speed
+    mujoco.mj_forward(model, data)
+    assert data.qacc[0] == pytest.approx(-left / 2.0, abs=1e-6)
+
+
 def test_an_extended_model_can_be_criticised_again_and_a_zero_still_is_nothing(moving):
     slide = moving()
     effects = [

@@ -52,3 +52,8 @@ def test_a_positive_tilt_turns_gravity_backwards_or_to_the_left(cart, tilt, expe
     """As rotations by the right-hand rule about y (pitch) and about x (roll)."""
     model = cart(Effect("gravity_tilt", "global", tilt))
     np.testing.assert_allclose(model.opt.gravity, -9.81 * np.array(expected), atol=1e-12)
+
+
+def test_wind_has_its_density_and_both_speeds(cart):
+    model = cart(Effect("wind", "global", (1.2, 3.0, -2.0)))
+    assert (model.opt.density, model.opt.wind.tolist()) == (1.2, [3.0, -2.0, 0.0])

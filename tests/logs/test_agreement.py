@@ -36,6 +36,12 @@ def measured():
     return moved(PLAIN)
 
 
+def test_fewer_than_three_episodes_say_nothing(measured):
+    model = mujoco.MjModel.from_xml_string(PLAIN)
+    assert list(agreements(measured.episodes(range(2)), model)) == []
+    assert list(agreements(measured.episodes(range(3)), model))
+
+
 def moved(xml):
     """Ten episodes of a robot that random commands move, seen by encoders with steps."""
     model = mujoco.MjModel.from_xml_string(xml)

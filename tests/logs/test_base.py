@@ -194,3 +194,6 @@ def test_a_bag_has_no_parts():
 def test_more_than_a_criticism_could_use_is_refused():
     with pytest.raises(InvalidInput, match=r"has 5,000 columns and 10 numbers; accepted are 4,096"):
         check_size("a.csv", 5000, 10)
+    with pytest.raises(InvalidInput, match="8 columns and 33,554,433 numbers"):
+        check_size("a.csv", 8, 2**25 + 1)
+    check_size("a.csv", 8, 2**25)

@@ -246,6 +246,8 @@ def test_a_derived_velocity_has_errors_that_are_independent_between_rows(robot):
     # the slope of a line through n readings of deviation s, over a window w: s sqrt(12/n) / w
     assert error.std() == pytest.approx(1e-3 * np.sqrt(12 / 10) / 0.01, rel=0.1)
     assert converted.noise[2] == pytest.approx(error.std(), rel=0.1)
+    wrong = data.qpos[:, 0] - motion(data.time)["q1"]
+    assert converted.noise[0] == pytest.approx(wrong.std(), rel=0.1)
     assert abs(np.corrcoef(error[:-1], error[1:])[0, 1]) < 3 / np.sqrt(len(error))
 
 

@@ -9,6 +9,7 @@ import pytest
 from pyarrow import parquet
 
 from adr_service.errors import InvalidInput
+from adr_service.logs import base
 from adr_service.logs.base import Clock
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.parquet_files import read_parquet
@@ -157,3 +158,9 @@ def test_another_folder_is_refused(tmp_path):
         InvalidInput, match=r"is neither a LeRobot data set .* name the files in it"
     ):
         read_logs(tmp_path)
+
+
+def test_a_table_that_unpacks_to_too_much_is_refused(monkeypatch):
+    monkeypatch.setattr(base, "MOST_BYTES", 10_000)
+    with pytest.raises(InvalidInput, match=r"unpacked, has .* bytes; accepted are 10,000"):
+        read_parquet("log.parquet", content(pa.table({"t": np.arange(10_000.0)})))

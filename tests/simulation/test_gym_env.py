@@ -154,6 +154,7 @@ def test_a_distribution_comes_from_its_file():
         ({**file_of("vanilla"), "task": "walker2d"}, "is of walker2d vanilla"),
         ({**file_of("vanilla"), "variant": "windy"}, "there is no variant"),
         (file_of("vanilla", 2), "2 distributions are given; choose one"),
+        ({**file_of("vanilla"), "extension": [{"kind": "wind"}]}, "which this environment lacks"),
         ({**file_of("vanilla"), "distributions": 3}, "must be a list of documents; given 3"),
         ({**file_of("vanilla"), "distributions": ["x"]}, "must be a list of documents"),
     ],
