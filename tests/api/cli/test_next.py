@@ -70,7 +70,7 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
         (["--next", "next.npz", "--limit", "shoulder=-5:5"], "shoulder obeys commands from -1"),
         (["--next", "next.npz", "--start", "shoulder"], "is not NAME=POSITION"),
         (["--next", "next.npz", "--start", "elbo=1"], "did you mean 'elbow'"),
-        (["--next", "next.npz", "--start", "elbow=nan"], "elbow may be at"),
+        (["--next", "next.npz", "--start", "elbow=nan"], "is not finite"),
     ],
 )
 def test_wrong_limits_are_refused_before_the_work(adr_here, first, arguments, message):
